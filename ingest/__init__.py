@@ -1,0 +1,1 @@
+"""Old data and devices to events to a scan log: importers, the simulated room."""

@@ -1,0 +1,1 @@
+"""Arrays in, arrays out: undistort, grey, denoise, extract, triangulate; pipeline.py meets the store."""

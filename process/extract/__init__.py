@@ -1,0 +1,1 @@
+"""Stripe extraction: sub-pixel stripe centres from one frame."""

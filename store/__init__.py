@@ -1,0 +1,1 @@
+"""Everything on disk: logs, archive, derivations, catalogue, query, export, fixity."""

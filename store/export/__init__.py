@@ -1,0 +1,1 @@
+"""Point tables to files that other programs read, one format a module."""
