@@ -6,7 +6,7 @@ wall clock alone decides nothing.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
@@ -14,8 +14,8 @@ from .document import Model, check_version, parse_json
 from .errors import DocumentError
 from .events import Nanoseconds, Tags
 
-FORMAT = "turnscan.event"
-VERSION = 1
+FORMAT: Final = "turnscan.event"
+VERSION: Final = 1
 
 
 class ArchiveEvent(Model):
@@ -99,7 +99,7 @@ _ADAPTER: TypeAdapter[AnyArchiveEvent] = TypeAdapter(AnyArchiveEvent)
 def parse_archive_event(data: bytes, *, where: str) -> AnyArchiveEvent:
     """An archive event from JSON bytes; ``where`` names the file in errors."""
     value = parse_json(data, where=where)
-    check_version(value, format=FORMAT, version=VERSION, where=where)
+    check_version(value, name=FORMAT, version=VERSION, where=where)
     try:
         return _ADAPTER.validate_python(value)
     except ValidationError as error:

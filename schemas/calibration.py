@@ -8,7 +8,7 @@ stages use. Unit vectors are normalised on the way in when they are within 1e-3 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self, TypeGuard
 
 from pydantic import Field, model_validator
 
@@ -16,8 +16,8 @@ from .canonical import digest
 from .document import Model, check_version, parse_json, validate
 from .errors import CalibrationError, DocumentError
 
-FORMAT = "turnscan.calibration"
-VERSION = 1
+FORMAT: Final = "turnscan.calibration"
+VERSION: Final = 1
 
 Vector = tuple[float, float, float]
 Matrix = tuple[tuple[float, ...], ...]
@@ -171,7 +171,7 @@ class TurntableAxis(Part):
         return sign if self.positive_turn == "counterclockwise" else -sign
 
 
-def _is_vector(v: Any) -> bool:
+def _is_vector(v: Any) -> TypeGuard[Vector]:
     return (
         isinstance(v, (list, tuple))
         and len(v) == 3
@@ -301,12 +301,12 @@ def parse_calibration(data: bytes | str, *, where: str) -> Calibration:
     value = parse_json(data, where=where)
     name = value.get("format")
     if name == "turnscan.paper-calibration":
-        check_version(value, format=name, version=1, where=where)
+        check_version(value, name=name, version=1, where=where)
         return validate(PaperCalibration, value, where=where).calibration()
     if name != FORMAT:
         raise DocumentError(
             f"{where}: format is {name!r}, expected {FORMAT!r} or 'turnscan.paper-calibration'",
             hint="docs/format.md shows both documents",
         )
-    check_version(value, format=FORMAT, version=VERSION, where=where)
+    check_version(value, name=FORMAT, version=VERSION, where=where)
     return validate(Calibration, value, where=where)

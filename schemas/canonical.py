@@ -1,4 +1,4 @@
-"""Canonical JSON and tagged SHA-256: the identity of everything in an archive.
+r"""Canonical JSON and tagged SHA-256: the identity of everything in an archive.
 
 The canonical form is UTF-8 JSON with sorted keys, no white space, no NaN or infinity, floats in
 Python's shortest round-trip form with ``-0.0`` written as ``0.0``. A digest is taken over

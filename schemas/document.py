@@ -1,7 +1,7 @@
 """What all documents share: a frozen model that refuses unknown fields and non-finite numbers.
 
-A *document* is a model with ``format`` and ``version``; it is read with :func:`parse_document`, which
-turns every failure into one :class:`DocumentError` that names the file and the field.
+A *document* is a model with ``format`` and ``version``; its reader checks both first,
+and turns every failure into one :class:`DocumentError` that names the file and the field.
 """
 
 from __future__ import annotations
@@ -52,20 +52,20 @@ def validate(model: type[AnyModel], value: Any, *, where: str) -> AnyModel:
         ) from error
 
 
-def check_version(value: Mapping[str, Any], *, format: str, version: int, where: str) -> None:
+def check_version(value: Mapping[str, Any], *, name: str, version: int, where: str) -> None:
     """Refuse a document of another format, or of a newer version than this program knows."""
     found = value.get("format")
-    if found != format:
+    if found != name:
         raise DocumentError(
-            f"{where}: format is {found!r}, expected {format!r}",
-            hint=f'a document of this kind starts with "format": "{format}"',
+            f"{where}: format is {found!r}, expected {name!r}",
+            hint=f'a document of this kind starts with "format": "{name}"',
         )
     number = value.get("version")
     if not isinstance(number, int) or isinstance(number, bool) or number < 1:
         raise DocumentError(f"{where}: version is {number!r}, expected a whole number from 1")
     if number > version:
         raise FormatVersionError(
-            f"{where}: {format} version {number}, this turnscan reads up to {version}",
+            f"{where}: {name} version {number}, this turnscan reads up to {version}",
             hint="install a newer turnscan; nothing was changed",
         )
 

@@ -44,7 +44,7 @@ class UsageError(TurnscanError):
 
 
 class InputError(TurnscanError, ValueError):
-    """An input file or array is not what it must be (unreadable image, mixed sizes, missing row)."""
+    """An input file or array is not what it must be (unreadable, mixed sizes, missing row)."""
 
     slug = "input"
 
@@ -86,7 +86,7 @@ class StorageError(TurnscanError):
 
 
 class ConflictError(TurnscanError):
-    """What should be written exists already with other content, or another process is in the way."""
+    """What should be written exists already, or another process is in the way."""
 
     slug = "conflict"
 

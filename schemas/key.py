@@ -90,7 +90,7 @@ def stripes_key(
 def points_key(
     recipe: Recipe, *, stripes: str, calibration: Calibration, lasers: Sequence[int]
 ) -> tuple[str, dict[str, str]]:
-    """Key of POINTS derived from the STRIPES with key ``stripes``, and the parts that entered it."""
+    """Key of POINTS derived from the STRIPES with key ``stripes``, and the parts in it."""
     return _chain(
         recipe.point_stages(),
         input_sha256=None,

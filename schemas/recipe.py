@@ -6,7 +6,7 @@ written out, so that a default that changes later does not silently change an ol
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -14,8 +14,8 @@ from .canonical import digest
 from .document import Model, check_version, parse_toml, validate
 from .errors import DocumentError, NotFoundError
 
-FORMAT = "turnscan.recipe"
-VERSION = 1
+FORMAT: Final = "turnscan.recipe"
+VERSION: Final = 1
 
 Dn = Annotated[float, Field(ge=0)]
 Orientation = Literal["vertical", "horizontal"]
@@ -96,9 +96,7 @@ class Triangulate(Model):
     )
 
 
-Stage = Annotated[
-    Undistort | Grey | Denoise | Extract | Triangulate, Field(discriminator="stage")
-]
+Stage = Annotated[Undistort | Grey | Denoise | Extract | Triangulate, Field(discriminator="stage")]
 
 #: Raised by hand when a stage's results change for equal parameters and input.
 STAGE_VERSIONS = {"undistort": 1, "grey": 1, "denoise": 1, "extract": 1, "triangulate": 1}
@@ -116,7 +114,7 @@ def stage_version(stage: Stage) -> int | str:
 
 
 class Recipe(Model):
-    """Ordered stages: [undistort frames] [grey] [denoise] extract [undistort points] triangulate."""
+    """Ordered stages: [undistort frames] [grey] [denoise] extract [undistort] triangulate."""
 
     format: Literal["turnscan.recipe"] = FORMAT
     version: Literal[1] = VERSION
@@ -126,7 +124,14 @@ class Recipe(Model):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        order = ["undistort-frames", "grey", "denoise", "extract", "undistort-points", "triangulate"]
+        order = [
+            "undistort-frames",
+            "grey",
+            "denoise",
+            "extract",
+            "undistort-points",
+            "triangulate",
+        ]
         names = [_slot(s) for s in self.stages]
         if len(set(names)) != len(names):
             raise ValueError(f"a stage stands twice: {', '.join(names)}")
@@ -191,7 +196,7 @@ def parse_recipe(data: bytes, *, where: str) -> Recipe:
     value: dict[str, Any] = parse_toml(data, where=where)
     value.setdefault("format", FORMAT)
     value.setdefault("version", VERSION)
-    check_version(value, format=FORMAT, version=VERSION, where=where)
+    check_version(value, name=FORMAT, version=VERSION, where=where)
     stages = value.get("stages")
     if not isinstance(stages, list) or not all(isinstance(s, dict) for s in stages):
         raise DocumentError(
