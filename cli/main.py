@@ -1,0 +1,141 @@
+"""The ``turnscan`` command: global options, exit codes, and one place where errors are shown.
+
+Exit codes: 0 done, 1 failed, 2 usage, 130 interrupted. Data goes to stdout, all else to stderr.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer.exceptions import TyperException
+
+from ..schemas.errors import TurnscanError
+from .calibrations import calibration_app
+from .deriving import process, status
+from .exporting import export, query
+from .fixity import repair, verify
+from .importing import import_app
+from .output import Session, current_session, set_session
+from .recipes import recipe_app
+from .scans import scan_app
+from .starting import demo, init
+
+app = typer.Typer(
+    name="turnscan",
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help=(
+        "Laser-triangulation scans as immutable logs, and point tables derived from them.\n\n"
+        "Start with [bold]turnscan demo[/bold]: it needs no hardware and no data."
+    ),
+    epilog="Examples: turnscan init lab; cd lab; turnscan import images photos --step-deg 1.125; "
+    "turnscan process; turnscan export latest cloud.ply",
+)
+app.command()(init)
+app.command()(demo)
+app.add_typer(import_app, name="import")
+app.add_typer(calibration_app, name="calibration")
+app.command()(process)
+app.command()(status)
+app.add_typer(scan_app, name="scan")
+app.add_typer(recipe_app, name="recipe")
+app.command()(query)
+app.command()(export)
+app.command()(verify)
+app.command()(repair)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from .. import __version__
+
+        sys.stdout.write(f"turnscan {__version__}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    archive: Annotated[
+        Path | None,
+        typer.Option(
+            "--archive",
+            metavar="DIR",
+            help="The archive; else TURNSCAN_ARCHIVE, else the nearest folder upward that is one.",
+        ),
+    ] = None,
+    verbose: Annotated[
+        int, typer.Option("-v", "--verbose", count=True, help="Say more; -vv for debugging.")
+    ] = 0,
+    quiet: Annotated[
+        bool, typer.Option("-q", "--quiet", help="Say nothing but errors and data.")
+    ] = False,
+    log_file: Annotated[
+        Path | None, typer.Option("--log-file", metavar="FILE", help="Write a log there, too.")
+    ] = None,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show the traceback of an error.")
+    ] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Version.")
+    ] = False,
+) -> None:
+    """Options that every command shares."""
+    set_session(Session(archive=archive, verbose=verbose, quiet=quiet, debug=debug))
+    current_session().start_log(log_file)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point of the console script; exits the process."""
+    set_session(Session(debug="--debug" in (sys.argv[1:] if arguments is None else arguments)))
+    try:
+        code = app(args=arguments, prog_name="turnscan", standalone_mode=False)
+    except KeyboardInterrupt:
+        current_session().complain("interrupted", hint=None)
+        code = 130
+    except TurnscanError as error:
+        code = _failed(error, error.hint, error.exit_code)
+    except TyperException as error:
+        code = _usage(error)
+    except typer.Abort:
+        current_session().complain("interrupted", hint=None)
+        code = 130
+    except BrokenPipeError:
+        # A reader such as `head` went away: nothing failed on our side.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    except OSError as error:
+        code = _failed(error, _way_out(error), 1)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _usage(error: TyperException) -> int:
+    text = error.format_message()
+    context = getattr(error, "ctx", None)
+    if type(error).__name__ == "NoArgsIsHelpError":
+        sys.stderr.write(text + "\n")
+        return 2
+    command = context.command_path if context is not None else "turnscan"
+    return _failed(TurnscanError(text), f"{command} --help shows what it takes", error.exit_code)
+
+
+def _failed(error: Exception, hint: str | None, code: int) -> int:
+    session = current_session()
+    if session.debug:
+        logging.getLogger("turnscan").debug("failed", exc_info=error)
+        import traceback
+
+        traceback.print_exception(error)
+    session.complain(str(error), hint=hint)
+    return code
+
+
+def _way_out(error: OSError) -> str:
+    name = error.filename or "the file system"
+    return f"check {name}: does it exist, may you write there, is there room?"
