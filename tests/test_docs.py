@@ -1,0 +1,50 @@
+"""The docs say what the code says: columns, topics, commands, decisions."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FORMAT = (ROOT / "docs" / "format.md").read_text()
+
+
+@pytest.fixture(scope="module")
+def generate() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("generate", ROOT / "docs" / "generate.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_columns_in_the_docs_are_those_of_the_code(generate: ModuleType) -> None:
+    assert generate.with_columns(FORMAT) == FORMAT, "run `make docs` and commit docs/format.md"
+
+
+def test_every_channel_is_in_the_docs() -> None:
+    from turnscan.schemas.channels import TOPICS
+
+    for topic in TOPICS:
+        shown = topic.replace("{camera}", "<id>")
+        assert f"`{shown}`" in FORMAT, f"docs/format.md does not mention {shown}"
+
+
+def test_links_of_the_docs_lead_somewhere() -> None:
+    for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]:
+        for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):
+            assert (page.parent / target).exists(), f"{page.name}: {target} does not exist"
+
+
+def test_examples_in_the_format_page_are_real_documents() -> None:
+    from turnscan.schemas.calibration import parse_calibration
+
+    examples = re.findall(r"```json\n(.*?)```", FORMAT, re.DOTALL)
+    assert len(examples) == 2
+    for text in examples:
+        assert parse_calibration(text, where="docs/format.md").lasers
