@@ -161,6 +161,20 @@ class TurntableAxis(Part):
         _check_covariance(self.covariance, 6, "point_mm (3) direction (3)")
         return self
 
+    def camera_from_turntable(self) -> tuple[Vector, Vector, Vector]:
+        """The axes x, y, z of turntable space as unit vectors in camera space (rotation columns)."""
+        z = self.direction
+        x0 = self.x_direction if self.x_direction is not None else (1.0, 0.0, 0.0)
+        along = x0[0] * z[0] + x0[1] * z[1] + x0[2] * z[2]
+        across = (x0[0] - along * z[0], x0[1] - along * z[1], x0[2] - along * z[2])
+        x = _scaled(across, _norm(across))
+        y = (
+            z[1] * x[2] - z[2] * x[1],
+            z[2] * x[0] - z[0] * x[2],
+            z[0] * x[1] - z[1] * x[0],
+        )
+        return x, y, z
+
     def turn_sign(self) -> int:
         """Sign s of ``scene_from_turntable(angle) = Rz(s angle)``.
 

@@ -1,0 +1,1 @@
+"""``turnscan scan``: list, show, tag, retire."""

@@ -1,0 +1,287 @@
+"""Walk the records of any MCAP file once, in file order, with every CRC checked.
+
+The `mcap` package's readers check CRCs only when told to, and attachments' never; here nothing can be
+turned off. Messages are views into the decompressed chunk. Anything that does not fit is a
+DamageError with file and offset, at the latest when the end of the data section is reached.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import zstandard
+from isal import isal_zlib
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from ..schemas.channels import PROFILE
+from ..schemas.errors import DamageError, StorageError
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+_CHUNK_HEAD = struct.Struct("<QQQII")
+_RECORD_HEAD = struct.Struct("<BQ")
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
+
+_READERS: Final[dict[int, Callable[[ReadDataStream], Any]]] = {
+    Opcode.HEADER: Header.read,
+    Opcode.FOOTER: Footer.read,
+    Opcode.SCHEMA: Schema.read,
+    Opcode.CHANNEL: Channel.read,
+    Opcode.MESSAGE_INDEX: MessageIndex.read,
+    Opcode.CHUNK_INDEX: ChunkIndex.read,
+    Opcode.ATTACHMENT: Attachment.read,
+    Opcode.ATTACHMENT_INDEX: AttachmentIndex.read,
+    Opcode.STATISTICS: Statistics.read,
+    Opcode.METADATA: Metadata.read,
+    Opcode.METADATA_INDEX: MetadataIndex.read,
+    Opcode.SUMMARY_OFFSET: SummaryOffset.read,
+    Opcode.DATA_END: DataEnd.read,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LogMessage:
+    """One message; ``data`` is a view that stays valid as long as it is held."""
+
+    channel_id: int
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: memoryview
+
+
+def damaged(path: Path, offset: int, what: str) -> DamageError:
+    """The error for broken bytes of a log."""
+    return DamageError(
+        f"{path}: damaged at byte {offset}: {what}",
+        hint="restore the file from a copy; turnscan repair salvages what is whole",
+    )
+
+
+def parse_record(opcode: int, body: bytes | memoryview, path: Path, offset: int) -> Any:
+    """The record in ``body``; None for an opcode that MCAP leaves to others."""
+    if opcode == Opcode.MESSAGE:
+        return parse_message(memoryview(body), path, offset)
+    reader = _READERS.get(opcode)
+    if reader is None:
+        return None
+    stream = ReadDataStream(io.BytesIO(body))
+    try:
+        return reader(stream)
+    except (EndOfFile, struct.error, UnicodeDecodeError) as error:
+        raise damaged(path, offset, f"a record of kind {opcode:#04x} is malformed") from error
+
+
+def parse_message(body: memoryview, path: Path, offset: int) -> LogMessage:
+    """The message in ``body``, without copying its data."""
+    if len(body) < _MESSAGE_HEAD.size:
+        raise damaged(path, offset, f"a message of {len(body)} bytes")
+    channel, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(body)
+    return LogMessage(channel, sequence, log_time, publish_time, body[_MESSAGE_HEAD.size :])
+
+
+def chunk_records(body: memoryview, path: Path, offset: int, *, strict: bool) -> Iterator[Any]:
+    """Schemas, channels and messages of the chunk record ``body``, after its CRC was checked.
+
+    ``strict`` refuses a chunk without a CRC.
+    """
+    if len(body) < _CHUNK_HEAD.size:
+        raise damaged(path, offset, f"a chunk of {len(body)} bytes")
+    start, end, size, crc, name_size = _CHUNK_HEAD.unpack_from(body)
+    at = _CHUNK_HEAD.size
+    name = bytes(body[at : at + name_size])
+    at += name_size
+    if at + 8 > len(body):
+        raise damaged(path, offset, "a chunk's head runs past its end")
+    (stored,) = struct.unpack_from("<Q", body, at)
+    at += 8
+    if stored > len(body) - at:
+        raise damaged(path, offset, f"a chunk of {stored} bytes runs past its end")
+    data = _decompress(name, body[at : at + stored], size, path, offset)
+    if len(data) != size:
+        raise damaged(path, offset, f"a chunk holds {len(data)} bytes, its head says {size}")
+    if (crc or strict) and isal_zlib.crc32(data) != crc:
+        raise damaged(path, offset, "the CRC of a chunk does not fit its content")
+    yield from inner_records(memoryview(data), path, offset, start=start, end=end)
+
+
+def inner_records(
+    data: memoryview, path: Path, offset: int, *, start: int, end: int
+) -> Iterator[Any]:
+    """Records of decompressed chunk content; message times must lie in [start, end]."""
+    at = 0
+    while at < len(data):
+        if at + 9 > len(data):
+            raise damaged(path, offset, f"a record head is cut off at byte {at} of a chunk")
+        opcode, length = _RECORD_HEAD.unpack_from(data, at)
+        at += 9
+        if length > len(data) - at:
+            raise damaged(path, offset, f"a record runs past the end of its chunk at byte {at}")
+        if opcode == Opcode.MESSAGE:
+            message = parse_message(data[at : at + length], path, offset)
+            if not start <= message.log_time <= end:
+                raise damaged(path, offset, f"a message at {message.log_time} is outside its chunk")
+            yield message
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            yield parse_record(opcode, data[at : at + length], path, offset)
+        elif opcode < 0x80:
+            raise damaged(path, offset, f"a record of kind {opcode:#04x} inside a chunk")
+        at += length
+
+
+def _decompress(name: bytes, data: memoryview, size: int, path: Path, offset: int) -> Any:
+    if name == b"":
+        return data
+    try:
+        if name == b"zstd":
+            return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+        if name == b"lz4":
+            import lz4.frame
+
+            return lz4.frame.decompress(bytes(data))
+    except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
+        raise damaged(path, offset, f"a chunk cannot be decompressed ({error})") from error
+    raise damaged(path, offset, f"a chunk has the unknown compression {name!r}")
+
+
+class RecordWalk:
+    """One pass over a file. Iterating yields (offset, record); ``library`` and ``profile`` are set
+    by the first record."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.profile = ""
+        self.library = ""
+
+    def __iter__(self) -> Iterator[tuple[int, Any]]:
+        try:
+            with self.path.open("rb", buffering=1 << 20) as file:
+                size = file.seek(0, io.SEEK_END)
+                file.seek(0)
+                yield from self._walk(file, size)
+        except FileNotFoundError as error:
+            raise StorageError(f"{self.path}: no such file") from error
+        except OSError as error:
+            raise StorageError(f"{self.path}: cannot be read ({error.strerror})") from error
+
+    def _walk(self, file: Any, size: int) -> Iterator[tuple[int, Any]]:
+        magic = file.read(len(MAGIC))
+        if magic != MAGIC:
+            raise damaged(self.path, 0, "it does not begin as an MCAP file")
+        crc = isal_zlib.crc32(magic)
+        offset = len(magic)
+        strict = False
+        while True:
+            head = file.read(9)
+            if len(head) < 9:
+                raise damaged(self.path, offset, "the file ends before its data section does")
+            opcode, length = _RECORD_HEAD.unpack(head)
+            if length > size - offset - 9:
+                raise damaged(self.path, offset, f"a record of {length} bytes runs past the end")
+            body = file.read(length)
+            if len(body) != length:
+                raise damaged(self.path, offset, "the file is shorter than it was")
+            if opcode == Opcode.DATA_END:
+                record = parse_record(opcode, body, self.path, offset)
+                if (record.data_section_crc or strict) and record.data_section_crc != crc:
+                    raise damaged(self.path, offset, "the CRC of the data section does not fit")
+                yield offset, record
+                yield from self._summary(file, offset + 9 + length, strict=strict)
+                return
+            crc = isal_zlib.crc32(body, isal_zlib.crc32(head, crc))
+            if opcode == Opcode.CHUNK:
+                for record in chunk_records(memoryview(body), self.path, offset, strict=strict):
+                    yield offset, record
+            elif opcode == Opcode.FOOTER:
+                raise damaged(self.path, offset, "the data section has no end record")
+            else:
+                if opcode == Opcode.ATTACHMENT:
+                    self._check_attachment(body, offset)
+                record = parse_record(opcode, body, self.path, offset)
+                if isinstance(record, Header):
+                    self.profile, self.library = record.profile, record.library
+                    strict = record.profile == PROFILE
+                if record is not None:
+                    yield offset, record
+            offset += 9 + length
+
+    def _check_attachment(self, body: bytes, offset: int) -> None:
+        (crc,) = struct.unpack("<I", body[-4:])
+        if crc and isal_zlib.crc32(memoryview(body)[:-4]) != crc:
+            raise damaged(self.path, offset, "the CRC of an attachment does not fit")
+
+    def _summary(self, file: Any, begin: int, *, strict: bool) -> Iterator[tuple[int, Any]]:
+        data = memoryview(file.read())
+        if bytes(data[-len(MAGIC) :]) != MAGIC:
+            raise damaged(self.path, begin + len(data), "it does not end as an MCAP file")
+        end = len(data) - len(MAGIC)
+        at = 0
+        while at < end:
+            if at + 9 > end:
+                raise damaged(self.path, begin + at, "the summary is cut off")
+            opcode, length = _RECORD_HEAD.unpack_from(data, at)
+            if length > end - at - 9:
+                raise damaged(self.path, begin + at, "a record of the summary runs past its end")
+            body = data[at + 9 : at + 9 + length]
+            record = parse_record(opcode, body, self.path, begin + at)
+            if isinstance(record, Footer):
+                if at + 9 + length != end:
+                    raise damaged(self.path, begin + at, "something follows the footer")
+                crc = isal_zlib.crc32(data[: at + 9 + 16])
+                if (record.summary_crc or strict) and record.summary_crc != crc:
+                    raise damaged(self.path, begin + at, "the CRC of the summary does not fit")
+                yield begin + at, record
+                return
+            if record is not None:
+                yield begin + at, record
+            at += 9 + length
+        raise damaged(self.path, begin + at, "the file has no footer")
+
+
+def read_messages(
+    path: Path, topics: set[str] | None = None
+) -> Iterator[tuple[Schema | None, Channel, LogMessage]]:
+    """Messages of any MCAP file in file order, with their channel and schema.
+
+    Raises
+    ------
+    DamageError
+        Any CRC, length or reference in the file does not fit, at the latest after the last message.
+    """
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    # The summary repeats schemas and channels; they are checked by the walk and change nothing.
+    for offset, record in RecordWalk(path):
+        if isinstance(record, LogMessage):
+            channel = channels.get(record.channel_id)
+            if channel is None:
+                raise damaged(path, offset, f"a message on the unknown channel {record.channel_id}")
+            if topics is None or channel.topic in topics:
+                yield schemas.get(channel.schema_id), channel, record
+        elif isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            if record.schema_id and record.schema_id not in schemas:
+                raise damaged(path, offset, f"channel {record.topic!r} names an unknown schema")
+            channels[record.id] = record
