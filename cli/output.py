@@ -193,9 +193,7 @@ def _emit_table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> No
     width = [max([len(c), *(len(line[i]) for line in cells)]) for i, c in enumerate(columns)]
 
     def line(values: Sequence[str]) -> str:
-        parts = [
-            v.rjust(width[i]) if number[i] else v.ljust(width[i]) for i, v in enumerate(values)
-        ]
+        parts = [v.rjust(width[i]) if number[i] else v.ljust(width[i]) for i, v in enumerate(values)]
         return "  ".join(parts).rstrip() + "\n"
 
     bold, plain = ("\033[1m", "\033[0m") if _coloured(sys.stdout) else ("", "")

@@ -52,6 +52,5 @@ def _batch(spec: TableSpec, held: list[Columns], schema: pa.Schema) -> pa.Record
 def columns_of(batch: pa.RecordBatch) -> dict[str, np.ndarray[Any, Any]]:
     """The columns of a batch as NumPy arrays, without a copy."""
     return {
-        name: batch.column(i).to_numpy(zero_copy_only=True)
-        for i, name in enumerate(batch.schema.names)
+        name: batch.column(i).to_numpy(zero_copy_only=True) for i, name in enumerate(batch.schema.names)
     }

@@ -19,9 +19,7 @@ from .errors import DocumentError, FormatVersionError
 class Model(BaseModel):
     """Frozen, closed, finite: the base of every value that is written down."""
 
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True
-    )
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
 
     def plain(self) -> dict[str, Any]:
         """The JSON form, with fields that are None left out."""

@@ -187,13 +187,9 @@ def decode_image(schema: str, message: memoryview) -> ImageMessage:
         _buffer(fields, 6),
     )
     if image.encoding not in ENCODINGS:
-        raise DamageError(
-            f"image message: encoding {image.encoding!r} is not one of {[*ENCODINGS]}"
-        )
+        raise DamageError(f"image message: encoding {image.encoding!r} is not one of {[*ENCODINGS]}")
     size, channels = ENCODINGS[image.encoding]
-    if image.step < image.width_px * size * channels or image.step * image.height_px != len(
-        image.data
-    ):
+    if image.step < image.width_px * size * channels or image.step * image.height_px != len(image.data):
         raise DamageError(
             f"image message: {image.width_px} x {image.height_px} {image.encoding} with step "
             f"{image.step} does not fit {len(image.data)} bytes"

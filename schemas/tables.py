@@ -105,13 +105,9 @@ class TableSpec:
 
 _FRAME = Column("frame", "uint32", "", "number of the frame in the scan, from 0")
 _LASER = Column("laser", "uint8", "", "number of the laser, as in the calibration")
-_ROW = Column(
-    "row", "uint16", "px", "row of the frame (vertical stripe) or column (horizontal stripe)"
-)
+_ROW = Column("row", "uint16", "px", "row of the frame (vertical stripe) or column (horizontal stripe)")
 _ANGLE = Column("angle_rad", "float32", "rad", "turntable angle of the frame")
-_U = Column(
-    "u_px", "float32", "px", "stripe centre along the row (vertical) or column (horizontal)"
-)
+_U = Column("u_px", "float32", "px", "stripe centre along the row (vertical) or column (horizontal)")
 _AMPLITUDE = Column("amplitude_dn", "float32", "DN", "peak of the stripe above its background")
 _WIDTH = Column("width_px", "float32", "px", "stripe width, as Gaussian standard deviation")
 _FLAGS = Column("flags", "uint16", "", "bits: " + ", ".join(f"{f.value} {f.name}" for f in Flag))
@@ -148,9 +144,7 @@ POINTS = TableSpec(
         Column("y_mm", "float32", "mm", "scene y"),
         Column("z_mm", "float32", "mm", "scene z, up along the turntable axis"),
         Column("range_mm", "float32", "mm", "distance of the point from the camera's centre"),
-        Column(
-            "sigma_range_mm", "float32", "mm", "standard deviation of range_mm, NaN where unknown"
-        ),
+        Column("sigma_range_mm", "float32", "mm", "standard deviation of range_mm, NaN where unknown"),
         _AMPLITUDE,
         _WIDTH,
         _FLAGS,

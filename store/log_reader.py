@@ -18,7 +18,6 @@ from ..schemas.image_messages import RAW_IMAGE, ImageMessage, decode_image
 from .log_records import LogMessage, damaged, read_messages
 
 if TYPE_CHECKING:
-    import numpy as np
     import numpy.typing as npt
 
 
@@ -118,11 +117,7 @@ class ScanLog:
             return None
         camera = topic.split("/")[2]
         exposure = exposures.get(camera)
-        if (
-            exposure is None
-            or exposure.frame != message.sequence
-            or exposure.t_ns != message.log_time
-        ):
+        if exposure is None or exposure.frame != message.sequence or exposure.t_ns != message.log_time:
             raise damaged(self.path, 0, f"frame {message.sequence} has no exposure event before it")
         try:
             image = decode_image(schema, message.data)

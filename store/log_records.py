@@ -126,9 +126,7 @@ def chunk_records(body: memoryview, path: Path, offset: int, *, strict: bool) ->
     yield from inner_records(memoryview(data), path, offset, start=start, end=end)
 
 
-def inner_records(
-    data: memoryview, path: Path, offset: int, *, start: int, end: int
-) -> Iterator[Any]:
+def inner_records(data: memoryview, path: Path, offset: int, *, start: int, end: int) -> Iterator[Any]:
     """Records of decompressed chunk content; message times must lie in [start, end]."""
     at = 0
     while at < len(data):
@@ -167,7 +165,8 @@ def _decompress(name: bytes, data: memoryview, size: int, path: Path, offset: in
 
 class RecordWalk:
     """One pass over a file. Iterating yields (offset, record); ``library`` and ``profile`` are set
-    by the first record."""
+    by the first record.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -50,7 +50,6 @@ from .log_chunk import Buffer, ChunkBuilder
 from .log_viewers import camera_calibration_message, frame_transform_message
 
 if TYPE_CHECKING:
-    import numpy as np
     import numpy.typing as npt
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -74,9 +73,7 @@ class LogWriter:
     case the file stays as it is, to be salvaged.
     """
 
-    def __init__(
-        self, path: Path, *, chunk_bytes: int = CHUNK_BYTES, durable: bool = False
-    ) -> None:
+    def __init__(self, path: Path, *, chunk_bytes: int = CHUNK_BYTES, durable: bool = False) -> None:
         self.path = path
         self._chunk_bytes = chunk_bytes
         self._durable = durable
@@ -141,9 +138,7 @@ class LogWriter:
             parts = _raw_parts(exposure, image)
             schema = RAW_IMAGE
         self._message(topic, schema, exposure.t_ns, parts, sequence=exposure.frame)
-        if self._durable:
-            self.flush(sync=True)
-        elif time.monotonic() - self._synced_at > _SYNC_EVERY_S:
+        if self._durable or time.monotonic() - self._synced_at > _SYNC_EVERY_S:
             self.flush(sync=True)
 
     def write_calibration(self, calibration: Calibration, t_ns: int, *, camera: str = "0") -> None:
@@ -162,9 +157,7 @@ class LogWriter:
             data = frame_transform_message(calibration.turntable, t_ns, camera)
             self._message("/tf", FRAME_TRANSFORM, t_ns, [data])
 
-    def write_message(
-        self, topic: str, schema: str, t_ns: int, data: Buffer, *, sequence: int
-    ) -> None:
+    def write_message(self, topic: str, schema: str, t_ns: int, data: Buffer, *, sequence: int) -> None:
         """Append an already encoded message of a turnscan topic, as salvage does."""
         known = topic_of(topic)
         if known is None or schema not in known.schemas:
@@ -200,9 +193,7 @@ class LogWriter:
         schema = self._schemas.get(schema_name)
         if schema is None:
             encoding, data = schema_bytes(schema_name)
-            schema = Schema(
-                id=len(self._schemas) + 1, name=schema_name, encoding=encoding, data=data
-            )
+            schema = Schema(id=len(self._schemas) + 1, name=schema_name, encoding=encoding, data=data)
             self._schemas[schema_name] = schema
         channel = self._channels.get((topic, schema_name))
         if channel is None:

@@ -155,9 +155,7 @@ def _whole_chunk(
         if cut:
             if name:
                 data = memoryview(zstandard.ZstdDecompressor().decompressobj().decompress(data))
-            lost.append(
-                f"the end of the chunk at byte {offset}, from its byte {len(data)} of {size}"
-            )
+            lost.append(f"the end of the chunk at byte {offset}, from its byte {len(data)} of {size}")
             yield from inner_records(_whole_part(data), path, offset, start=start, end=end)
             return
         if name:

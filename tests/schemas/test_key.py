@@ -19,9 +19,7 @@ from turnscan.schemas.recipe import (
 
 CONTENT = "ab" * 32
 DEFAULT = Recipe(name="d", stages=(Grey(), Denoise(), Extract(), Undistort(), Triangulate()))
-PAPER = Recipe(
-    name="p", stages=(Undistort(on="frames"), Grey(), Denoise(), Extract(), Triangulate())
-)
+PAPER = Recipe(name="p", stages=(Undistort(on="frames"), Grey(), Denoise(), Extract(), Triangulate()))
 
 
 def calibration(*, h: float = 120.0, k1: float = 0.1, second_h: float | None = None) -> Calibration:

@@ -1,0 +1,169 @@
+"""The stages of one recipe, wired: frames to stripe points, stripe points to scene points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..schemas.calibration import Calibration, Intrinsics
+from ..schemas.errors import CalibrationError, InputError
+from ..schemas.recipe import Denoise, Extract, Grey, Recipe, Triangulate, Undistort
+from .camera import ideal_camera, undistort_points
+from .denoise import denoise
+from .extract import extract_stripe
+from .extract.search import noise_dn
+from .grey import to_grey
+from .triangulate import intersect, range_of, scene_from_turntable, turntable_from_camera
+from .uncertainty import sigma_range_mm
+from .undistort import FrameUndistorter
+
+Columns = dict[str, npt.NDArray[Any]]
+
+
+class FrameChain:
+    """The frame stages of a recipe: undistort, grey, denoise, extract. Pure but for cached maps."""
+
+    def __init__(self, recipe: Recipe, calibration: Calibration | None) -> None:
+        self._extract = recipe.extract()
+        self._grey: Grey | None = None
+        self._denoise = Denoise(method="none")
+        self._undistort: FrameUndistorter | None = None
+        self._camera: Intrinsics | None = None
+        for stage in recipe.frame_stages():
+            if isinstance(stage, Grey):
+                self._grey = stage
+            elif isinstance(stage, Denoise):
+                self._denoise = stage
+            elif isinstance(stage, Undistort):
+                if calibration is None:
+                    raise CalibrationError("undistorting frames needs a calibration")
+                self._camera = calibration.intrinsics_or_fail()
+                self._undistort = FrameUndistorter(self._camera)
+
+    def extract(
+        self,
+        image: npt.NDArray[Any],
+        lasers_on: tuple[int, ...],
+        background: npt.NDArray[Any] | None = None,
+    ) -> list[tuple[int, npt.NDArray[Any]]]:
+        """(laser, stripe points) of every laser lit in one frame; see :func:`extract_stripe`."""
+        grey, noise = self._prepare(image)
+        off = None
+        if self._extract.background == "off-frame":
+            if background is None:
+                raise InputError("extract.background = off-frame, but no laser-off frame was given")
+            off, _ = self._prepare(background)
+        step = self._extract
+        out = []
+        for laser, from_px, to_px in _windows(step, lasers_on):
+            points = extract_stripe(
+                grey,
+                step.method,
+                orientation=step.orientation,
+                background=off,
+                base_dn=step.base_dn,
+                max_width_px=step.max_width_px,
+                saturation_dn=step.saturation_dn,
+                from_px=from_px,
+                to_px=to_px,
+                noise=noise,
+            )
+            out.append((laser, points))
+        return out
+
+    def _prepare(self, image: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], float]:
+        """The frame as extract takes it, and the noise of its pixels before it was filtered."""
+        if self._undistort is not None:
+            assert self._camera is not None
+            check_size(self._camera, image.shape[1], image.shape[0])
+            image = self._undistort(image)
+        if self._grey is not None:
+            image = to_grey(image, self._grey)
+        elif image.ndim != 2:
+            raise InputError(
+                "colour frames, and the recipe has no grey stage",
+                hint='add [[stages]] stage = "grey" to the recipe',
+            )
+        return denoise(image, self._denoise), noise_dn(image)
+
+
+def _windows(step: Extract, lasers_on: tuple[int, ...]) -> list[tuple[int, int, int | None]]:
+    """(laser, from_px, to_px) for every lit laser."""
+    windows = {w.laser: (w.from_px, w.to_px) for w in step.windows}
+    if len(lasers_on) > 1:
+        missing = [n for n in lasers_on if n not in windows]
+        if missing:
+            raise InputError(
+                f"lasers {list(lasers_on)} are lit in one frame, and nothing tells their stripes apart",
+                hint=f"give extract.windows for lasers {missing} in the recipe, or light them singly",
+            )
+    return [(n, *windows.get(n, (0, None))) for n in lasers_on]
+
+
+def check_size(camera: Intrinsics, width_px: int, height_px: int) -> None:
+    """Refuse frames of another size than the camera was calibrated with."""
+    if (width_px, height_px) != (camera.width_px, camera.height_px):
+        raise CalibrationError(
+            f"frames are {width_px} x {height_px}, the calibration is for "
+            f"{camera.width_px} x {camera.height_px}",
+            hint="use the calibration of this camera at this resolution (turnscan calibration list)",
+        )
+
+
+class PointChain:
+    """The point stages of a recipe: undistort stripe points, triangulate."""
+
+    def __init__(self, recipe: Recipe, calibration: Calibration) -> None:
+        camera = calibration.intrinsics_or_fail()
+        # Without the stage on points, either the frames were undistorted, and what is left is the
+        # ideal camera, or the recipe takes the lens for ideal.
+        points = any(isinstance(s, Undistort) for s in recipe.point_stages())
+        self._camera = camera if points else ideal_camera(camera)
+        self._calibration = calibration
+        self._axis = calibration.axis_or_fail()
+        self._step = next(s for s in recipe.stages if isinstance(s, Triangulate))
+        self._horizontal = recipe.extract().orientation == "horizontal"
+        #: Stripe points that gave no scene point: behind the plane, out of limits, not invertible.
+        self.dropped = 0
+
+    def points(self, stripes: Mapping[str, npt.NDArray[Any]]) -> Columns:
+        """POINTS columns from STRIPES columns, in the same order."""
+        along = stripes["u_px"].astype(np.float64)
+        across = stripes["row"].astype(np.float64)
+        u, v = (across, along) if self._horizontal else (along, across)
+        p = np.full((len(u), 3), np.nan)
+        sigma = np.full(len(u), np.nan)
+        xn, yn = undistort_points(u, v, self._camera)
+        for laser in np.unique(stripes["laser"]):
+            mine = stripes["laser"] == laser
+            plane = self._calibration.plane_or_fail(int(laser))
+            p[mine] = intersect(xn[mine], yn[mine], plane)
+            sigma[mine] = sigma_range_mm(
+                u[mine],
+                v[mine],
+                stripes["sigma_u_px"][mine].astype(np.float64),
+                along_v=self._horizontal,
+                camera=self._camera,
+                plane=plane,
+            )
+        distance = range_of(p)
+        turned = turntable_from_camera(self._axis)(p)
+        scene = scene_from_turntable(turned, stripes["angle_rad"].astype(np.float64), self._axis)
+        keep = np.isfinite(distance) & (distance >= self._step.min_range_mm)
+        if self._step.max_range_mm is not None:
+            keep &= distance <= self._step.max_range_mm
+        if self._step.max_radius_mm is not None:
+            keep &= np.hypot(scene[:, 0], scene[:, 1]) <= self._step.max_radius_mm
+        self.dropped += int(len(keep) - keep.sum())
+        made = {
+            "x_mm": scene[:, 0],
+            "y_mm": scene[:, 1],
+            "z_mm": scene[:, 2],
+            "range_mm": distance,
+            "sigma_range_mm": sigma,
+        }
+        copied = ("frame", "laser", "row", "angle_rad", "u_px", "amplitude_dn", "width_px", "flags")
+        return {k: a[keep] for k, a in {**{n: stripes[n] for n in copied}, **made}.items()}

@@ -1,0 +1,439 @@
+"""The archive: one folder, opened once, that everything on disk is reached through."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..schemas.archive_events import (
+    AnyArchiveEvent,
+    Certified,
+    Restored,
+    Retired,
+    Tagged,
+    Withdrawn,
+    parse_archive_event,
+)
+from ..schemas.calibration import Calibration, parse_calibration
+from ..schemas.document import check_version, dump_json, parse_toml, validate
+from ..schemas.errors import (
+    CalibrationError,
+    ConflictError,
+    NotFoundError,
+    StorageError,
+)
+from ..schemas.ids import new_ulid
+from ..schemas.manifests import (
+    ARCHIVE_VERSION,
+    ArchiveSettings,
+    DerivationManifest,
+    ScanSummary,
+)
+from ..schemas.recipe import Recipe, built_in_recipe
+from . import layout
+from .bytes import STAGING, LocalFolder, storage_error
+from .catalog import Catalog, Row, put
+from .derivations import publish, read_batches
+from .drafts import ScanDraft
+from .effective import Effective, certified_for, none_holds
+from .fold import standing_certifications
+from .log_digest import LogFacts
+from .log_reader import ScanLog
+from .names import calibration_word, scan_word
+from .plan import Plan, keys_of, what_changed
+from .projection import (
+    derivation_row,
+    event_row,
+    put_calibration,
+    read_calibration,
+    rebuild,
+    refold,
+    scan_row,
+    synchronise,
+)
+
+if TYPE_CHECKING:
+    import polars as pl
+    import pyarrow as pa
+
+
+class Archive:
+    """An archive on disk (docs/format.md). Make one with :meth:`init`, open it with :meth:`open`."""
+
+    def __init__(self, root: Path, settings: ArchiveSettings) -> None:
+        self.root = root
+        self.settings = settings
+        self.store = LocalFolder(root)
+        self.catalog = Catalog(root / layout.CATALOG)
+        synchronise(self.store, self.catalog)
+        self._calibrations: dict[str, Calibration] = {}
+        self._standing: list[Certified] | None = None
+
+    # -- opening ----------------------------------------------------------------------------------
+
+    @classmethod
+    def init(cls, folder: str | Path, *, recipe: str = "default") -> Archive:
+        """Make a new archive in ``folder``, which must be empty or not exist.
+
+        Raises
+        ------
+        ConflictError
+            The folder holds something already.
+        """
+        root = Path(folder).absolute()
+        try:
+            if (root / layout.SETTINGS).exists():
+                raise ConflictError(f"{root} is an archive already", hint=f"cd {root}")
+            if root.exists() and (not root.is_dir() or any(root.iterdir())):
+                raise ConflictError(
+                    f"{root} is not empty", hint="give a new folder, or empty this one first"
+                )
+            root.mkdir(parents=True, exist_ok=True)
+            for name in (layout.SCANS, layout.CALIBRATIONS, layout.EVENTS, layout.DERIVED, STAGING):
+                (root / name).mkdir(exist_ok=True)
+        except OSError as error:
+            raise storage_error(error, root) from error
+        settings = ArchiveSettings(archive=new_ulid(), created_ns=time.time_ns(), recipe=recipe)
+        text = "".join(f"{k} = {_toml(v)}\n" for k, v in settings.plain().items())
+        store = LocalFolder(root)
+        store.put_if_absent(layout.SETTINGS, text.encode())
+        return cls(root, settings)
+
+    @classmethod
+    def open(cls, folder: str | Path) -> Archive:
+        """The archive in ``folder``.
+
+        Raises
+        ------
+        NotFoundError
+            There is none.
+        FormatVersionError
+            It was made by a newer turnscan.
+        """
+        root = Path(folder).absolute()
+        path = root / layout.SETTINGS
+        try:
+            data = path.read_bytes()
+        except FileNotFoundError as error:
+            raise NotFoundError(
+                f"{root} is no archive (it has no {layout.SETTINGS})",
+                hint=f"turnscan init {folder} makes one",
+            ) from error
+        except OSError as error:
+            raise storage_error(error, path) from error
+        value = parse_toml(data, where=str(path))
+        check_version(value, name="turnscan.archive", version=ARCHIVE_VERSION, where=str(path))
+        return cls(root, validate(ArchiveSettings, value, where=str(path)))
+
+    @classmethod
+    def find(cls, start: str | Path = ".") -> Archive:
+        """The archive in ``start`` or the nearest folder above it."""
+        here = Path(start).absolute()
+        for folder in (here, *here.parents):
+            if (folder / layout.SETTINGS).is_file():
+                return cls.open(folder)
+        raise NotFoundError(
+            f"no archive in {here} or above",
+            hint="turnscan init DIR makes one; --archive DIR or TURNSCAN_ARCHIVE names one",
+        )
+
+    def recipe(self) -> Recipe:
+        """The archive's default recipe."""
+        return built_in_recipe(self.settings.recipe)
+
+    # -- scans ------------------------------------------------------------------------------------
+
+    def new_scan(self, *, keep_part: bool = False) -> ScanDraft:
+        """A draft to write a log into; see :class:`ScanDraft`."""
+        return ScanDraft(self.store, keep_part=keep_part)
+
+    def seal(self, draft: ScanDraft, facts: LogFacts) -> ScanSummary:
+        """Make ``draft`` a scan for good and enter it in the catalogue."""
+        summary = draft.seal(facts)
+        with self.catalog.writing() as c:
+            put(c, "scans", scan_row(summary))
+            if facts.calibration is not None:
+                self._keep_calibration(facts.calibration)
+                put_calibration(c, facts.calibration)
+            refold(c)
+        return summary
+
+    def same_content(self, frames_sha256: str) -> str | None:
+        """A scan with the same frames, angles and lasers, if there is one."""
+        rows = self.catalog.rows(
+            "SELECT scan FROM scans WHERE frames_sha256 = ? ORDER BY scan", (frames_sha256,)
+        )
+        return str(rows[0]["scan"]) if rows else None
+
+    def scan_rows(self, *, where: str | None = None, retired: bool = False) -> list[Row]:
+        """Rows of the catalogue's scans, oldest first; ``where`` is SQL over their columns."""
+        import json
+
+        from .catalog_where import select_scans
+
+        with self.catalog.reading() as c:
+            rows = select_scans(c, where=where, retired=retired)
+        for row in rows:
+            for name in ("tags", "cameras", "lasers"):
+                row[name] = json.loads(row[name])
+            row["retired"] = bool(row["retired"])
+        return rows
+
+    def scan(self, word: str) -> ScanSummary:
+        """The scan that ``word`` names: an id, a unique prefix, a label, or ``latest``."""
+        row = scan_word(word, self.scan_rows(retired=True))
+        return ScanSummary.model_validate_json(row["document"])
+
+    def scans(self, *, where: str | None = None) -> list[ScanSummary]:
+        """Summaries of all scans that are not retired, oldest first."""
+        return [ScanSummary.model_validate_json(r["document"]) for r in self.scan_rows(where=where)]
+
+    def log(self, scan: str) -> ScanLog:
+        """The log of a scan."""
+        return ScanLog(self.store.local(layout.scan_file(scan, layout.LOG)))
+
+    # -- events -----------------------------------------------------------------------------------
+
+    def record_event(self, kind: type[AnyArchiveEvent], **fields: Any) -> AnyArchiveEvent:
+        """Write one archive event as a file of its own and fold it into the catalogue."""
+        t_ns = time.time_ns()
+        newest = self.catalog.rows("SELECT max(event) AS event FROM events")[0]["event"]
+        name = new_ulid()
+        # Clocks step back; an event of this archive still comes after those it can see.
+        while newest is not None and name <= newest:
+            name = _ulid_after(newest)
+        event = kind(id=name, t_ns=t_ns, **fields)
+        self.store.put_if_absent(layout.event_file(name), dump_json(event.plain()))
+        with self.catalog.writing() as c:
+            put(c, "events", event_row(event))
+            refold(c)
+        self._standing = None
+        return event
+
+    def events(self, kind: str | None = None) -> list[AnyArchiveEvent]:
+        """Archive events, oldest first."""
+        sql = "SELECT event, document FROM events"
+        rows = self.catalog.rows(
+            f"{sql} WHERE kind = ? ORDER BY event" if kind else f"{sql} ORDER BY event",
+            (kind,) if kind else (),
+        )
+        return [parse_archive_event(r["document"].encode(), where=r["event"]) for r in rows]
+
+    def tag(self, scan: str, tags: dict[str, str], label: str | None = None) -> None:
+        """Set tags (an empty value removes one) and label of a scan."""
+        self.record_event(Tagged, scan=self.scan(scan).scan, tags=tags, label=label)
+
+    def retire(self, scan: str, *, back: bool = False, note: str = "") -> None:
+        """Take a scan out of use, or back into it. Nothing is deleted."""
+        self.record_event(Restored if back else Retired, scan=self.scan(scan).scan, note=note)
+
+    # -- calibrations -----------------------------------------------------------------------------
+
+    def add_calibration(self, calibration: Calibration) -> str:
+        """Keep a calibration under its content id, which is returned; adding it again is nothing."""
+        self._keep_calibration(calibration)
+        with self.catalog.writing() as c:
+            put_calibration(c, calibration)
+        return calibration.calibration_id()
+
+    def _keep_calibration(self, calibration: Calibration) -> None:
+        name = calibration.calibration_id()
+        self.store.put_if_absent(layout.calibration_file(name), dump_json(calibration.plain()))
+
+    def calibration(self, word: str) -> Calibration:
+        """The calibration that ``word`` names: an id or a unique prefix of one."""
+        name = calibration_word(word, self.calibration_rows())
+        if name not in self._calibrations:
+            self._calibrations[name] = read_calibration(self.store, name)
+        return self._calibrations[name]
+
+    def calibration_rows(self) -> list[Row]:
+        """Rows of the catalogue's calibrations, by id."""
+        return self.catalog.rows("SELECT * FROM calibrations ORDER BY calibration")
+
+    def certify(
+        self,
+        word: str,
+        *,
+        rig: str | None = None,
+        from_ns: int | None = None,
+        to_ns: int | None = None,
+        note: str = "",
+    ) -> Certified:
+        """State that a calibration holds for a rig (its own by default) over [from_ns, to_ns)."""
+        calibration = self.calibration(word)
+        event = self.record_event(
+            Certified,
+            calibration=calibration.calibration_id(),
+            rig=rig or calibration.rig,
+            from_ns=from_ns,
+            to_ns=to_ns,
+            note=note,
+        )
+        assert isinstance(event, Certified)
+        return event
+
+    def withdraw(self, word: str, *, rig: str | None = None, note: str = "") -> list[Withdrawn]:
+        """Take back every standing certification of a calibration (for ``rig``, if given)."""
+        name = self.calibration(word).calibration_id()
+        standing = [e for e in self.certifications() if e.calibration == name and rig in (None, e.rig)]
+        if not standing:
+            raise CalibrationError(
+                f"calibration {name} is not certified" + (f" for rig {rig!r}" if rig else ""),
+                hint="turnscan calibration list shows which are",
+            )
+        out = []
+        for e in standing:
+            event = self.record_event(Withdrawn, calibration=name, after=e.id, note=note)
+            assert isinstance(event, Withdrawn)
+            out.append(event)
+        return out
+
+    def certifications(self) -> list[Certified]:
+        """Certifications that stand, oldest first."""
+        if self._standing is None:
+            self._standing = standing_certifications(self.events())
+        return self._standing
+
+    def effective(self, scan: ScanSummary, choice: str = "current") -> Effective:
+        """The calibration that holds for ``scan``: ``current``, ``recorded``, or an id."""
+        if choice == "current":
+            event = certified_for(scan, self.certifications())
+            if event is not None:
+                return Effective(self._known(event.calibration), f"certified by {event.id}")
+        if choice in ("current", "recorded"):
+            if scan.calibration is None:
+                raise none_holds(scan, choice)
+            return Effective(self._known(scan.calibration), "recorded in the log")
+        return Effective(self.calibration(choice), "named")
+
+    def _known(self, name: str) -> Calibration:
+        if name not in self._calibrations:
+            rows = self.catalog.rows("SELECT document FROM calibrations WHERE calibration = ?", (name,))
+            self._calibrations[name] = (
+                parse_calibration(rows[0]["document"], where=name)
+                if rows
+                else read_calibration(self.store, name)
+            )
+        return self._calibrations[name]
+
+    # -- derivations ------------------------------------------------------------------------------
+
+    def derivations(self, scan: str | None = None) -> list[DerivationManifest]:
+        """Manifests of all derivations, or of one scan's."""
+        sql = "SELECT document FROM derivations"
+        rows = self.catalog.rows(
+            f"{sql} WHERE scan = ? ORDER BY key" if scan else f"{sql} ORDER BY key",
+            (scan,) if scan else (),
+        )
+        return [DerivationManifest.model_validate_json(r["document"]) for r in rows]
+
+    def plan(
+        self, scans: Sequence[ScanSummary], recipe: Recipe, choice: str = "current"
+    ) -> Iterator[Plan | CalibrationError]:
+        """What ``recipe`` means for each scan, in order; an error where no calibration serves."""
+        for scan in scans:
+            try:
+                effective = self.effective(scan, choice)
+                keys = keys_of(scan, recipe, effective.calibration)
+            except CalibrationError as error:
+                yield error
+                continue
+            found = self._found((keys.stripes, keys.points))
+            yield Plan(
+                scan=scan,
+                recipe=recipe,
+                calibration=effective.calibration,
+                why_calibration=effective.why,
+                stripes_key=keys.stripes,
+                stripes_parts=keys.stripes_parts,
+                points_key=keys.points,
+                points_parts=keys.points_parts,
+                stripes=found.get(keys.stripes),
+                points=found.get(keys.points),
+            )
+
+    def _found(self, keys: Sequence[str]) -> dict[str, DerivationManifest]:
+        marks = ", ".join("?" * len(keys))
+        rows = self.catalog.rows(
+            f"SELECT key, path, bytes, document FROM derivations WHERE key IN ({marks})", keys
+        )
+        # A table that somebody deleted to win room is simply derived again.
+        return {
+            r["key"]: DerivationManifest.model_validate_json(r["document"])
+            for r in rows
+            if self.store.head(r["path"]) is not None
+        }
+
+    def why_missing(self, plan: Plan, kind: str) -> str:
+        """In words, which input of ``kind`` differs from what was derived before."""
+        return what_changed(plan, kind, self.derivations(plan.scan.scan))
+
+    def publish(self, batches: Iterator[pa.RecordBatch], **fields: Any) -> DerivationManifest:
+        """Write, publish and enter one derivation; see :func:`store.derivations.publish`."""
+        manifest = publish(self.store, batches, fields)
+        with self.catalog.writing() as c:
+            put(c, "derivations", derivation_row(manifest))
+        return manifest
+
+    def read(self, manifest: DerivationManifest) -> Iterator[pa.RecordBatch]:
+        """Rows of a derivation, a row group at a time, page checksums compared."""
+        return read_batches(self.store, manifest)
+
+    def points(
+        self, where: str | None = None, recipe: str | Recipe = "default", calibration: str = "current"
+    ) -> pl.LazyFrame:
+        """POINTS of the scans that ``where`` selects, under one recipe and calibration choice."""
+        return self._table("points", where, recipe, calibration)
+
+    def stripes(
+        self, where: str | None = None, recipe: str | Recipe = "default", calibration: str = "current"
+    ) -> pl.LazyFrame:
+        """STRIPES of the scans that ``where`` selects, under one recipe and calibration choice."""
+        return self._table("stripes", where, recipe, calibration)
+
+    def _table(self, kind: str, where: str | None, recipe: str | Recipe, choice: str) -> pl.LazyFrame:
+        from .frames import lazy_table
+
+        chosen = built_in_recipe(recipe) if isinstance(recipe, str) else recipe
+        made = []
+        for plan in self.plan(self.scans(where=where), chosen, choice):
+            if isinstance(plan, CalibrationError):
+                continue
+            manifest = plan.points if kind == "points" else plan.stripes
+            if manifest is not None:
+                made.append(manifest)
+        return lazy_table(self.store, kind, made)
+
+    # -- keeping ----------------------------------------------------------------------------------
+
+    def rebuild_catalog(self) -> None:
+        """Make catalog.sqlite again from the files."""
+        rebuild(self.store, self.catalog)
+
+    def free_bytes(self) -> int:
+        """Room left on the archive's file system."""
+        import shutil
+
+        try:
+            return shutil.disk_usage(self.root).free
+        except OSError as error:
+            raise StorageError(f"{self.root}: {error.strerror}") from error
+
+
+def _toml(value: Any) -> str:
+    return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def _ulid_after(text: str) -> str:
+    """The ULID that follows ``text``."""
+    alphabet = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
+    digits = [alphabet.index(ch) for ch in text]
+    for i in range(len(digits) - 1, -1, -1):
+        digits[i] += 1
+        if digits[i] < len(alphabet):
+            break
+        digits[i] = 0
+    return "".join(alphabet[d] for d in digits)

@@ -1,0 +1,133 @@
+"""catalog.sqlite: a projection of scans, calibrations, events and derivations, for fast answers.
+
+It is never the truth: delete it and it is made again from the files. Planning opens it read-only. What
+was copied in or removed is noticed by the names in scans/, calibrations/ and events/.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+from ..schemas.errors import StorageError
+
+#: Raised when the tables below change: an older file is made again.
+CATALOG_VERSION = 1
+
+_TABLES = """
+CREATE TABLE scans (
+    scan TEXT PRIMARY KEY, rig TEXT NOT NULL, label TEXT NOT NULL, tags TEXT NOT NULL,
+    retired INTEGER NOT NULL, source TEXT NOT NULL, started_ns INTEGER NOT NULL,
+    ended_ns INTEGER NOT NULL, ended TEXT NOT NULL, frames INTEGER NOT NULL,
+    background_frames INTEGER NOT NULL, cameras TEXT NOT NULL, lasers TEXT NOT NULL,
+    width_px INTEGER NOT NULL, height_px INTEGER NOT NULL, encoding TEXT NOT NULL,
+    angle_min_rad REAL NOT NULL, angle_max_rad REAL NOT NULL, calibration TEXT,
+    content_sha256 TEXT NOT NULL, frames_sha256 TEXT NOT NULL, log_bytes INTEGER NOT NULL,
+    document TEXT NOT NULL);
+CREATE INDEX scans_by_frames ON scans (frames_sha256);
+CREATE TABLE calibrations (
+    calibration TEXT PRIMARY KEY, rig TEXT NOT NULL, note TEXT NOT NULL, sha256 TEXT NOT NULL,
+    document TEXT NOT NULL);
+CREATE TABLE calibration_parts (
+    calibration TEXT NOT NULL, role TEXT NOT NULL, part TEXT NOT NULL,
+    PRIMARY KEY (calibration, role));
+CREATE TABLE events (
+    event TEXT PRIMARY KEY, kind TEXT NOT NULL, t_ns INTEGER NOT NULL, document TEXT NOT NULL);
+CREATE TABLE derivations (
+    key TEXT PRIMARY KEY, kind TEXT NOT NULL, scan TEXT NOT NULL, recipe TEXT NOT NULL,
+    recipe_name TEXT NOT NULL, calibration TEXT, rows INTEGER NOT NULL, bytes INTEGER NOT NULL,
+    sha256 TEXT NOT NULL, path TEXT NOT NULL, frames INTEGER NOT NULL,
+    frames_without_stripe INTEGER NOT NULL, created_ns INTEGER NOT NULL, document TEXT NOT NULL);
+CREATE INDEX derivations_by_scan ON derivations (scan, kind);
+"""
+TABLE_NAMES = ("scans", "calibrations", "calibration_parts", "events", "derivations")
+
+Row = dict[str, Any]
+
+
+class CatalogError(Exception):
+    """The catalogue is missing, of another version, or broken: it must be made again."""
+
+
+class Catalog:
+    """The file ``path``, which need not exist yet."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @contextmanager
+    def reading(self) -> Iterator[sqlite3.Connection]:
+        """A read-only connection: nothing on disk is touched.
+
+        Raises
+        ------
+        CatalogError
+            There is no catalogue that this program can use.
+        """
+        try:
+            with closing(sqlite3.connect(f"{self.path.as_uri()}?mode=ro", uri=True, timeout=30)) as c:
+                c.row_factory = sqlite3.Row
+                if c.execute("PRAGMA user_version").fetchone()[0] != CATALOG_VERSION:
+                    raise CatalogError(f"{self.path} has another version")
+                yield c
+        except sqlite3.DatabaseError as error:
+            raise CatalogError(f"{self.path}: {error}") from error
+
+    @contextmanager
+    def writing(self) -> Iterator[sqlite3.Connection]:
+        """One transaction that holds off other writers from its start."""
+        try:
+            with closing(sqlite3.connect(self.path, timeout=60, isolation_level=None)) as c:
+                c.row_factory = sqlite3.Row
+                c.execute("BEGIN IMMEDIATE")
+                try:
+                    yield c
+                    c.execute("COMMIT")
+                except BaseException:
+                    if c.in_transaction:
+                        c.execute("ROLLBACK")
+                    raise
+        except sqlite3.OperationalError as error:
+            raise StorageError(
+                f"{self.path}: {error}",
+                hint="is the disk full, or the folder not writable? the catalogue can be deleted",
+            ) from error
+
+    def rows(self, sql: str, values: Sequence[Any] = ()) -> list[Row]:
+        """All rows of one query."""
+        with self.reading() as c:
+            return [dict(r) for r in c.execute(sql, values)]
+
+    def dump(self) -> dict[str, list[Row]]:
+        """The whole content, ordered, for comparison."""
+        return {name: self.rows(f"SELECT * FROM {name} ORDER BY 1, 2") for name in TABLE_NAMES}
+
+
+def create_tables(c: sqlite3.Connection) -> None:
+    """Drop what is there and make the tables, inside the caller's transaction."""
+    for name in TABLE_NAMES:
+        c.execute(f"DROP TABLE IF EXISTS {name}")
+    for statement in _TABLES.split(";"):
+        if statement.strip():
+            c.execute(statement)
+    c.execute(f"PRAGMA user_version = {CATALOG_VERSION}")
+
+
+def put(c: sqlite3.Connection, table: str, row: Row) -> None:
+    """Insert or replace ``row``; lists and dicts are stored as JSON."""
+    names = list(row)
+    values = [
+        json.dumps(v, sort_keys=True, ensure_ascii=False) if isinstance(v, (list, dict, tuple)) else v
+        for v in row.values()
+    ]
+    marks = ", ".join("?" * len(names))
+    c.execute(f"INSERT OR REPLACE INTO {table} ({', '.join(names)}) VALUES ({marks})", values)
+
+
+def remove(c: sqlite3.Connection, table: str, column: str, values: Iterable[str]) -> None:
+    """Delete the rows whose ``column`` is one of ``values``."""
+    c.executemany(f"DELETE FROM {table} WHERE {column} = ?", [(v,) for v in values])

@@ -1,0 +1,54 @@
+"""What the user may call a scan or a calibration, and what to say if that fits none or several."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ..schemas.errors import NotFoundError
+
+_SHOWN = 5
+
+
+def scan_word(word: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The row that ``word`` names: an id, a label, a unique prefix (s- may be left out), ``latest``."""
+    if word == "latest":
+        living = [r for r in rows if not r["retired"]]
+        if not living:
+            raise NotFoundError("the archive holds no scan", hint="turnscan import images --help")
+        return max(living, key=lambda r: str(r["scan"]))
+    for fits in (
+        lambda r: r["scan"] == word,
+        lambda r: r["label"] == word and word,
+        lambda r: r["scan"].startswith(word) or r["scan"].startswith(f"s-{word.upper()}"),
+    ):
+        found = [r for r in rows if fits(r)]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise _several("scan", word, [r["scan"] for r in found])
+    raise NotFoundError(f"no scan {word!r}", hint="turnscan scan list shows all")
+
+
+def calibration_word(word: str, rows: Sequence[dict[str, Any]]) -> str:
+    """The id that ``word`` names: an id or a unique prefix (c- may be left out)."""
+    names = [str(r["calibration"]) for r in rows]
+    found = [n for n in names if n == word] or [
+        n for n in names if word and (n.startswith((word, f"c-{word}")))
+    ]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise _several("calibration", word, found)
+    raise NotFoundError(
+        f"no calibration {word!r} in the archive",
+        hint="turnscan calibration list shows all; turnscan calibration add FILE adds one",
+    )
+
+
+def _several(what: str, word: str, found: list[str]) -> NotFoundError:
+    more = f" and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
+    return NotFoundError(
+        f"{word!r} fits {len(found)} {what}s: {', '.join(found[:_SHOWN])}{more}",
+        hint="give more of the id",
+    )
