@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 from typing import Any
 
 from ..schemas.archive_events import AnyArchiveEvent, parse_archive_event
 from ..schemas.calibration import Calibration, parse_calibration
-from ..schemas.document import check_version, parse_json, validate
+from ..schemas.canonical import canonical_json
+from ..schemas.document import Model, check_version, parse_json, validate
 from ..schemas.errors import DamageError
 from ..schemas.manifests import DerivationManifest, ScanSummary
 from . import layout
@@ -77,36 +79,21 @@ def manifests_of_derivations(store: LocalFolder) -> list[str]:
     return sorted(str(p.relative_to(store.root)) for p in root.rglob("k-*.json"))
 
 
+_SCAN_COLUMNS = (
+    *("scan", "rig", "label", "tags", "source", "started_ns", "ended_ns", "ended", "frames"),
+    *("background_frames", "cameras", "lasers", "width_px", "height_px", "encoding"),
+    *("angle_min_rad", "angle_max_rad", "calibration", "content_sha256", "frames_sha256", "log_bytes"),
+)
+_DERIVATION_COLUMNS = (
+    *("key", "kind", "scan", "recipe", "calibration", "rows", "bytes", "sha256", "path", "frames"),
+    *("frames_without_stripe", "created_ns"),
+)
+
+
 def scan_row(summary: ScanSummary) -> Row:
     """The catalogue's row of a scan; label, tags and retired follow from :func:`refold`."""
-    names = [
-        "scan",
-        "rig",
-        "source",
-        "started_ns",
-        "ended_ns",
-        "ended",
-        "frames",
-        "background_frames",
-        "cameras",
-        "lasers",
-        "width_px",
-        "height_px",
-        "encoding",
-        "angle_min_rad",
-        "angle_max_rad",
-        "calibration",
-        "content_sha256",
-        "frames_sha256",
-        "log_bytes",
-    ]
-    row: Row = {name: getattr(summary, name) for name in names}
-    return row | {
-        "label": summary.label,
-        "tags": summary.tags,
-        "retired": 0,
-        "document": summary.model_dump_json(),
-    }
+    row: Row = {name: getattr(summary, name) for name in _SCAN_COLUMNS}
+    return row | {"retired": 0, "document": _text(summary)}
 
 
 def event_row(event: AnyArchiveEvent) -> Row:
@@ -115,31 +102,20 @@ def event_row(event: AnyArchiveEvent) -> Row:
         "event": event.id,
         "kind": event.kind,
         "t_ns": event.t_ns,
-        "document": event.model_dump_json(),
+        "document": _text(event),
     }
 
 
 def derivation_row(manifest: DerivationManifest) -> Row:
     """The catalogue's row of a derivation."""
-    names = [
-        "key",
-        "kind",
-        "scan",
-        "recipe",
-        "calibration",
-        "rows",
-        "bytes",
-        "sha256",
-        "path",
-        "frames",
-        "frames_without_stripe",
-        "created_ns",
-    ]
-    row: Row = {name: getattr(manifest, name) for name in names}
-    return row | {
-        "recipe_name": manifest.recipe_document.get("name", ""),
-        "document": manifest.model_dump_json(),
-    }
+    row: Row = {name: getattr(manifest, name) for name in _DERIVATION_COLUMNS}
+    name = manifest.recipe_document.get("name", "")
+    return row | {"recipe_name": name, "document": _text(manifest)}
+
+
+def _text(document: Model) -> str:
+    """One text for equal documents, whether they were just made or read back."""
+    return canonical_json(document.plain()).decode()
 
 
 def put_calibration(c: sqlite3.Connection, document: Calibration) -> None:
@@ -150,7 +126,7 @@ def put_calibration(c: sqlite3.Connection, document: Calibration) -> None:
         "rig": document.rig,
         "note": document.note,
         "sha256": document.sha256(),
-        "document": document.model_dump_json(),
+        "document": _text(document),
     }
     put(c, "calibrations", row)
     for role, part in document.part_ids().items():
@@ -168,8 +144,6 @@ def refold(c: sqlite3.Connection) -> None:
         value: dict[str, Any] = parse_json(r["document"], where=r["scan"])
         recorded[r["scan"]] = (value.get("label", ""), value.get("tags", {}))
     for scan, state in scan_states(events, recorded).items():
-        import json
-
         tags = json.dumps(state.tags, sort_keys=True, ensure_ascii=False)
         c.execute(
             "UPDATE scans SET label = ?, tags = ?, retired = ? WHERE scan = ?",

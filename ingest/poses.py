@@ -1,0 +1,176 @@
+"""What belongs to each image of an import: angle, time, lasers. From a step, or from a CSV."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from pathlib import Path
+
+from ..schemas.errors import InputError
+
+_COLUMNS = ("file", "angle_deg", "t_ns", "laser", "laser_on")
+_YES, _NO = {"1", "true", "yes", "on"}, {"0", "false", "no", "off"}
+_NOMINAL_STEP_NS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One image and what is known of it; ``t_ns`` None: nominal times are given later."""
+
+    path: Path
+    angle_deg: float
+    lasers_on: tuple[int, ...]
+    t_ns: int | None = None
+
+
+def poses_by_step(
+    images: Sequence[Path],
+    *,
+    step_deg: float,
+    start_deg: float = 0.0,
+    laser: int = 0,
+    background: str | None = None,
+) -> list[Pose]:
+    """Poses of images in order: the i-th lit one is at ``start_deg + i step_deg``.
+
+    ``background`` is a name pattern of laser-off frames. As many as lit ones: each belongs to the lit
+    one of the same place in the order, and comes before it. Just one: it comes first, for all.
+
+    Raises
+    ------
+    InputError
+        The step is not finite, or the number of laser-off frames fits neither rule.
+    """
+    if not (math.isfinite(step_deg) and math.isfinite(start_deg)):
+        raise InputError(f"--step-deg {step_deg} and --start-deg {start_deg} must be finite")
+    dark = [p for p in images if background is not None and fnmatch(p.name, background)]
+    lit = [p for p in images if p not in set(dark)]
+    if background is not None and len(dark) not in (1, len(lit)):
+        raise InputError(
+            f"{len(dark)} laser-off frames fit {background!r}, beside {len(lit)} lit ones",
+            hint="one for the whole scan, or one for each lit frame",
+        )
+    if not lit:
+        raise InputError(f"every image fits the laser-off pattern {background!r}")
+    out = [Pose(dark[0], start_deg, ())] if len(dark) == 1 and len(lit) != 1 else []
+    for i, path in enumerate(lit):
+        angle = start_deg + i * step_deg
+        if len(dark) == len(lit):
+            out.append(Pose(dark[i], angle, ()))
+        out.append(Pose(path, angle, (laser,)))
+    return out
+
+
+def poses_from_csv(images: Sequence[Path], table: Path) -> list[Pose]:
+    """Poses from a CSV with the columns file, angle_deg and, optionally, t_ns, laser, laser_on.
+
+    ``file`` is a name or a path ending; ``laser`` a number, or several as ``0;1``; ``laser_on = 0`` makes
+    a laser-off frame. Frames are in the order of ``t_ns`` where it is given, else of the rows.
+
+    Raises
+    ------
+    InputError
+        A row is malformed, an image has no row or two, or a row has no image.
+    """
+    rows = _read_rows(table)
+    names: dict[str, list[Path]] = {}
+    for path in images:
+        names.setdefault(path.name, []).append(path)
+    out: list[Pose] = []
+    used: dict[Path, int] = {}
+    for line, row in rows:
+        path = _image_of(row["file"], names, where=f"{table}, line {line}")
+        if path in used:
+            raise InputError(f"{table}, line {line}: {row['file']} stands already in line {used[path]}")
+        used[path] = line
+        out.append(_pose(path, row, where=f"{table}, line {line}"))
+    missing = [p.name for p in images if p not in used]
+    if missing:
+        shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
+        raise InputError(
+            f"{table}: no row for {shown}", hint="add the missing rows, or leave these images out"
+        )
+    timed = [p.t_ns is not None for p in out]
+    if any(timed) and not all(timed):
+        line = rows[timed.index(False)][0]
+        raise InputError(f"{table}, line {line}: t_ns is empty, but other rows have it")
+    if all(timed):
+        out.sort(key=lambda p: p.t_ns or 0)
+    if not any(p.lasers_on for p in out):
+        raise InputError(f"{table}: every frame is a laser-off frame")
+    return out
+
+
+def with_times(poses: Sequence[Pose], start_ns: int) -> list[tuple[int, Pose]]:
+    """(t_ns, pose) of every pose: its own time, or nominal times a second apart from ``start_ns``."""
+    return [
+        (start_ns + i * _NOMINAL_STEP_NS if p.t_ns is None else p.t_ns, p)
+        for i, p in enumerate(poses)
+    ]
+
+
+def _read_rows(table: Path) -> list[tuple[int, dict[str, str]]]:
+    try:
+        with table.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            header = [name.strip() for name in reader.fieldnames or []]
+            reader.fieldnames = header
+            unknown = [n for n in header if n not in _COLUMNS]
+            lacking = [n for n in ("file", "angle_deg") if n not in header]
+            if unknown or lacking:
+                raise InputError(
+                    f"{table}: columns are {header}, expected file, angle_deg and optionally t_ns, "
+                    "laser, laser_on",
+                    hint="the first line of the CSV names its columns",
+                )
+            rows = [
+                (reader.line_num, {k: (v or "").strip() for k, v in row.items() if k is not None})
+                for row in reader
+            ]
+    except OSError as error:
+        raise InputError(f"{table}: cannot be read ({error.strerror})") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{table}: is no CSV in UTF-8 ({error})") from error
+    if not rows:
+        raise InputError(f"{table}: has no rows")
+    return rows
+
+
+def _image_of(name: str, names: dict[str, list[Path]], *, where: str) -> Path:
+    found = names.get(Path(name).name, [])
+    if len(found) > 1:
+        found = [p for p in found if p.as_posix().endswith("/" + name.lstrip("./"))]
+    if len(found) != 1:
+        what = "no image" if not found else f"{len(found)} images"
+        raise InputError(f"{where}: {what} named {name!r}", hint="names must be those of the images")
+    return found[0]
+
+
+def _pose(path: Path, row: dict[str, str], *, where: str) -> Pose:
+    try:
+        angle = float(row["angle_deg"])
+    except ValueError:
+        angle = math.nan
+    if not math.isfinite(angle):
+        raise InputError(f"{where}: angle_deg is {row['angle_deg']!r}, expected a number of degrees")
+    t_ns = None
+    if row.get("t_ns"):
+        if not row["t_ns"].isascii() or not row["t_ns"].isdigit() or int(row["t_ns"]) >= 2**63:
+            raise InputError(f"{where}: t_ns is {row['t_ns']!r}, expected whole nanoseconds")
+        t_ns = int(row["t_ns"])
+    return Pose(path, angle, _lasers(row, where), t_ns)
+
+
+def _lasers(row: dict[str, str], where: str) -> tuple[int, ...]:
+    on = (row.get("laser_on") or "1").lower()
+    if on not in _YES | _NO:
+        raise InputError(f"{where}: laser_on is {row['laser_on']!r}, expected 1 or 0")
+    if on in _NO:
+        return ()
+    parts = (row.get("laser") or "0").split(";")
+    if not all(p.strip().isdigit() and int(p) < 256 for p in parts):
+        raise InputError(f"{where}: laser is {row['laser']!r}, expected a number from 0 to 255, or 0;1")
+    return tuple(sorted({int(p) for p in parts}))
