@@ -16,6 +16,7 @@ from typer.exceptions import TyperException
 
 from ..schemas.errors import TurnscanError
 from .calibrations import calibration_app
+from .demo import demo
 from .deriving import process, status
 from .exporting import export, query
 from .fixity import repair, verify
@@ -23,7 +24,7 @@ from .importing import import_app
 from .output import Session, current_session, set_session
 from .recipes import recipe_app
 from .scans import scan_app
-from .starting import demo, init
+from .starting import init
 
 app = typer.Typer(
     name="turnscan",

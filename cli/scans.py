@@ -1,1 +1,123 @@
 """``turnscan scan``: list, show, tag, retire."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from ..schemas.errors import UsageError
+from .output import Format, FormatOption, JsonOption, chosen, current_session, emit, emit_object
+from .places import ScanArgument, WhereOption, open_archive, parse_tags, show_time
+
+scan_app = typer.Typer(no_args_is_help=True, help="The archive's scans.")
+
+
+@scan_app.command("list", epilog="Example: turnscan scan list --where \"rig = 'desk'\" --json")
+def list_scans(
+    where: WhereOption = None,
+    retired: Annotated[bool, typer.Option("--retired", help="Also those out of use.")] = False,
+    style: FormatOption = Format.table,
+    as_json: JsonOption = False,
+) -> None:
+    """List scans, oldest first."""
+    rows = [
+        {
+            "scan": r["scan"],
+            "label": r["label"],
+            "rig": r["rig"],
+            "started": show_time(r["started_ns"]),
+            "frames": r["frames"],
+            "size_px": f"{r['width_px']}x{r['height_px']}",
+            "ended": r["ended"],
+            "calibration": r["calibration"],
+            "tags": r["tags"],
+            **({"retired": r["retired"]} if retired else {}),
+        }
+        for r in open_archive().scan_rows(where=where, retired=retired)
+    ]
+    columns = ["scan", "label", "rig", "started", "frames", "size_px", "ended", "calibration", "tags"]
+    emit(rows, columns + (["retired"] if retired else []), chosen(style, as_json))
+
+
+@scan_app.command("show", epilog="Example: turnscan scan show latest")
+def show_scan(
+    scan: ScanArgument, style: FormatOption = Format.table, as_json: JsonOption = False
+) -> None:
+    """Show one scan: what it is, its calibration, what was derived from it."""
+    import json
+    import math
+
+    archive = open_archive()
+    summary = archive.scan(scan)
+    row = next(r for r in archive.scan_rows(retired=True) if r["scan"] == summary.scan)
+    derived = [
+        {
+            "table": m.kind,
+            "recipe": m.recipe_document.get("name", m.recipe),
+            "calibration": m.calibration,
+            "rows": m.rows,
+            "key": m.key[:12],
+            "made": show_time(m.created_ns),
+        }
+        for m in sorted(archive.derivations(summary.scan), key=lambda m: (m.created_ns, m.kind))
+    ]
+    value: dict[str, Any] = json.loads(summary.model_dump_json())
+    value |= {"label": row["label"], "tags": row["tags"], "retired": row["retired"]}
+    chosen_style = chosen(style, as_json)
+    if chosen_style is not Format.table:
+        emit_object(value | {"derivations": derived}, chosen_style)
+        return
+    angles = f"{math.degrees(summary.angle_min_rad):.6g} to {math.degrees(summary.angle_max_rad):.6g}"
+    shown = {
+        "scan": summary.scan,
+        "label": row["label"] or None,
+        "tags": row["tags"] or None,
+        "rig": summary.rig,
+        "source": summary.source,
+        "started": show_time(summary.started_ns),
+        "ended": f"{show_time(summary.ended_ns)}, {summary.ended}",
+        "frames": f"{summary.frames}, of them {summary.background_frames} with the laser off",
+        "images": f"{summary.width_px} x {summary.height_px} {summary.encoding}",
+        "angles_deg": angles,
+        "lasers": summary.lasers,
+        "calibration": summary.calibration,
+        "log": f"{archive.log(summary.scan).path} ({summary.log_bytes} bytes)",
+        "content": summary.content_sha256[:12],
+        "salvaged_from": summary.salvaged_from,
+        "retired": row["retired"],
+    }
+    emit_object(shown, chosen_style)
+    if derived:
+        typer.echo()
+        emit(derived, ["table", "recipe", "calibration", "rows", "key", "made"], chosen_style)
+
+
+@scan_app.command("tag", epilog="Example: turnscan scan tag latest owner=lab2 --label bust")
+def tag_scan(
+    scan: ScanArgument,
+    tags: Annotated[
+        list[str] | None, typer.Argument(metavar="K=V...", help="An empty value removes the tag.")
+    ] = None,
+    label: Annotated[str | None, typer.Option("--label", help="A new name.")] = None,
+) -> None:
+    """Set tags and label of a scan. The log is not touched: an event is recorded."""
+    if not tags and label is None:
+        raise UsageError("nothing to set", hint="give K=V words or --label")
+    archive = open_archive()
+    summary = archive.scan(scan)
+    archive.tag(summary.scan, parse_tags(tags), label)
+    current_session().say(f"tagged {summary.scan}")
+
+
+@scan_app.command("retire", epilog="Example: turnscan scan retire s-01K --note 'laser was off'")
+def retire_scan(
+    scan: ScanArgument,
+    back: Annotated[bool, typer.Option("--back", help="Take it into use again.")] = False,
+    note: Annotated[str, typer.Option("--note", help="Why.")] = "",
+) -> None:
+    """Take a scan out of use (or back). Nothing is deleted."""
+    archive = open_archive()
+    summary = archive.scan(scan)
+    archive.retire(summary.scan, back=back, note=note)
+    current_session().say(f"{'restored' if back else 'retired'} {summary.scan}")

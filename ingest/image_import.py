@@ -90,9 +90,7 @@ def _start_time(plan: ImportPlan) -> tuple[int, str]:
     return max(oldest, 0), "oldest file, frames a nominal second apart"
 
 
-def _write_head(
-    writer: LogWriter, plan: ImportPlan, scan: str, t_ns: int, time_source: str
-) -> None:
+def _write_head(writer: LogWriter, plan: ImportPlan, scan: str, t_ns: int, time_source: str) -> None:
     from .. import __version__
 
     lasers = sorted({n for p in plan.poses for n in p.lasers_on})
@@ -142,9 +140,7 @@ def _write_frames(
         if pose.angle_deg != angle:
             angle = pose.angle_deg
             writer.write_event(TurntableAngle(t_ns=t_ns, commanded_rad=math.radians(angle)))
-        exposure = Exposure(
-            t_ns=t_ns, frame=frame, lasers_on=pose.lasers_on, file=pose.path.name
-        )
+        exposure = Exposure(t_ns=t_ns, frame=frame, lasers_on=pose.lasers_on, file=pose.path.name)
         writer.write_image(exposure, data=image.data, encoding=image.encoding)
         if advance is not None:
             advance(frame + 1, len(timed))

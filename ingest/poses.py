@@ -107,8 +107,7 @@ def poses_from_csv(images: Sequence[Path], table: Path) -> list[Pose]:
 def with_times(poses: Sequence[Pose], start_ns: int) -> list[tuple[int, Pose]]:
     """(t_ns, pose) of every pose: its own time, or nominal times a second apart from ``start_ns``."""
     return [
-        (start_ns + i * _NOMINAL_STEP_NS if p.t_ns is None else p.t_ns, p)
-        for i, p in enumerate(poses)
+        (start_ns + i * _NOMINAL_STEP_NS if p.t_ns is None else p.t_ns, p) for i, p in enumerate(poses)
     ]
 
 

@@ -136,9 +136,7 @@ def _in_worker(root: Path, scan: ScanSummary, plan: Plan | CalibrationError) -> 
     return _one(Archive.open(root), scan, plan, None)
 
 
-def derive_scan(
-    archive: Archive, plan: Plan, step: Callable[[int], None] | None = None
-) -> Outcome:
+def derive_scan(archive: Archive, plan: Plan, step: Callable[[int], None] | None = None) -> Outcome:
     """Derive and publish what ``plan`` finds missing.
 
     Raises
@@ -152,9 +150,7 @@ def derive_scan(
     began = time.monotonic()
     reasons = {kind: archive.why_missing(plan, kind) for kind in plan.missing}
     if any(isinstance(s, Undistort) for s in plan.recipe.stages):
-        check_size(
-            plan.calibration.intrinsics_or_fail(), plan.scan.width_px, plan.scan.height_px
-        )
+        check_size(plan.calibration.intrinsics_or_fail(), plan.scan.width_px, plan.scan.height_px)
     stripes = plan.stripes or _derive_stripes(archive, plan, step)
     points = plan.points or _derive_points(archive, plan, stripes)
     return Outcome(
@@ -246,9 +242,7 @@ def _stripe_columns(
     }
 
 
-def _derive_points(
-    archive: Archive, plan: Plan, stripes: DerivationManifest
-) -> DerivationManifest:
+def _derive_points(archive: Archive, plan: Plan, stripes: DerivationManifest) -> DerivationManifest:
     chain = PointChain(plan.recipe, plan.calibration)
 
     def parts() -> Iterable[dict[str, Any]]:

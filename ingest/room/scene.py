@@ -70,9 +70,7 @@ class Box:
 
     def hit(self, origin: Floats, direction: Floats) -> tuple[Floats, Ints]:
         """See :class:`Shape`."""
-        enter, leave, axis, _ = _slabs(
-            origin, direction, np.array(self.low_mm), np.array(self.high_mm)
-        )
+        enter, leave, axis, _ = _slabs(origin, direction, np.array(self.low_mm), np.array(self.high_mm))
         side = (direction[np.arange(len(axis)), axis] < 0).astype(np.int64)
         return np.where((enter > 0) & (enter <= leave), enter, np.inf), axis * 2 + side
 

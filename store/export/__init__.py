@@ -1,1 +1,126 @@
-"""Point tables to files that other programs read, one format a module."""
+"""Point tables to files that other programs read: one format a module, chosen by the suffix."""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ...schemas.errors import ConflictError, ExtraMissingError, UsageError
+from ..bytes import fsync_file, fsync_folder, storage_error
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+@dataclass(frozen=True)
+class ExportInfo:
+    """What an exported file says of itself. ``rows`` is the number of points that will come."""
+
+    scans: Sequence[str]
+    recipe: str
+    calibrations: Sequence[str]
+    keys: Sequence[str]
+    software: str
+    rows: int
+
+    def lines(self) -> list[str]:
+        """The same in words, a line each, for headers and comments."""
+        return [
+            self.software,
+            *(f"scan {s}" for s in self.scans),
+            f"recipe {self.recipe}",
+            *(f"calibration {c}" for c in self.calibrations),
+            *(f"key {k}" for k in self.keys),
+        ]
+
+
+@dataclass(frozen=True)
+class _Format:
+    module: str
+    extra: str | None
+    needs: tuple[str, ...]
+    words: str
+
+
+#: Suffix -> who writes it. Batches hold the POINTS columns and ``scan_index`` (uint16).
+_FORMATS = {
+    ".ply": _Format("ply", None, (), "binary PLY, mm, all attributes"),
+    ".csv": _Format("text", None, (), "CSV, mm"),
+    ".parquet": _Format("parquet", None, (), "Parquet, mm, with units in the metadata"),
+    ".pcd": _Format("pcd", None, (), "binary PCD 0.7, mm, all attributes"),
+    ".las": _Format("las", "las", ("laspy",), "LAS 1.4, m"),
+    ".laz": _Format("las", "las", ("laspy", "lazrs"), "compressed LAS 1.4, m"),
+    ".e57": _Format("e57", "e57", ("pye57",), "E57, m"),
+    ".glb": _Format("mesh", "mesh", ("trimesh",), "glTF mesh of the sweep, m, +Y up"),
+    ".stl": _Format("mesh", "mesh", ("trimesh",), "STL mesh of the sweep, mm"),
+    ".obj": _Format("mesh", "mesh", ("trimesh",), "OBJ mesh of the sweep, mm"),
+}
+
+Writer = Callable[[Iterable["pa.RecordBatch"], Path, ExportInfo, str], None]
+
+
+def supported_formats() -> dict[str, str]:
+    """Suffix -> what it is, and which extra it needs."""
+    return {s: f.words + (f" (extra: {f.extra})" if f.extra else "") for s, f in _FORMATS.items()}
+
+
+def check_format(out: Path) -> str:
+    """The suffix of ``out`` if it can be written here and now.
+
+    Raises
+    ------
+    UsageError
+        Nobody writes that suffix.
+    ExtraMissingError
+        It needs an extra that is not installed.
+    """
+    suffix = out.suffix.lower()
+    if suffix not in _FORMATS:
+        raise UsageError(
+            f"{out}: cannot export to {suffix or 'a file without suffix'!r}",
+            hint=f"there are: {' '.join(_FORMATS)}",
+        )
+    chosen = _FORMATS[suffix]
+    for name in chosen.needs:
+        try:
+            import_module(name)
+        except ImportError as error:
+            raise ExtraMissingError(
+                f"{suffix} needs {name}, which is not installed",
+                hint=f"pip install 'turnscan[{chosen.extra}]'",
+            ) from error
+    return suffix
+
+
+def export_points(
+    batches: Iterable[pa.RecordBatch], out: Path, info: ExportInfo, *, overwrite: bool = False
+) -> None:
+    """Write points to ``out`` in the format of its suffix; it appears whole or not at all.
+
+    Raises
+    ------
+    ConflictError
+        ``out`` exists and ``overwrite`` is False.
+    StorageError
+        The file system refuses; nothing is left behind.
+    """
+    suffix = check_format(out)
+    if out.exists() and not overwrite:
+        raise ConflictError(f"{out} exists already", hint="--overwrite replaces it")
+    module: Any = import_module(f".{_FORMATS[suffix].module}", __name__)
+    write: Writer = module.write
+    aside = out.with_name(f".{out.stem}-{uuid.uuid4().hex[:8]}{suffix}")
+    try:
+        write(batches, aside, info, suffix)
+        fsync_file(aside)
+        os.replace(aside, out)
+        fsync_folder(out.absolute().parent)
+    except OSError as error:
+        raise storage_error(error, out) from error
+    finally:
+        aside.unlink(missing_ok=True)

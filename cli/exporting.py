@@ -1,0 +1,130 @@
+"""``turnscan query`` and ``turnscan export``: get data out."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..schemas.errors import NotFoundError, UsageError
+from .output import Format, FormatOption, JsonOption, chosen, current_session, emit
+from .places import CalibrationOption, chosen_recipe, chosen_scans, complete_scan, open_archive
+from .recipes import RecipeOption
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from ..schemas.manifests import DerivationManifest
+    from ..store import Archive
+    from ..store.export import ExportInfo
+
+
+def query(
+    sql: Annotated[str, typer.Argument(metavar="SQL", help="SELECT ... over the tables below.")],
+    style: FormatOption = Format.table,
+    as_json: JsonOption = False,
+) -> None:
+    """Run SQL over scans, calibrations, events, references, derivations, stripes, points.
+
+    stripes and points hold every derivation; recipe_name, calibration and key tell them apart.
+    """
+    from ..store.query import run_query
+
+    frame = run_query(open_archive(), sql)
+    chosen_style = chosen(style, as_json)
+    if chosen_style is Format.csv:
+        frame.write_csv(sys.stdout.buffer)
+        return
+    emit(frame.to_dicts(), frame.columns, chosen_style)
+
+
+def export(
+    scans: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SCAN... OUT", help="Scans, then the file.", autocompletion=complete_scan
+        ),
+    ],
+    recipe: RecipeOption = None,
+    calibration: CalibrationOption = "current",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT.")] = False,
+) -> None:
+    """Write points to a file, by its suffix.
+
+    .ply .csv .parquet .pcd; with extras .las .laz .e57, and .glb .stl .obj (a mesh of the sweep).
+    Lengths are mm; metres in .las, .laz, .e57 and .glb, as those formats want.
+    """
+    if len(scans) < 2:
+        raise UsageError(
+            "export takes at least one SCAN and the file OUT", hint="turnscan export latest cloud.ply"
+        )
+    info = export_to(
+        open_archive(), scans[:-1], Path(scans[-1]), recipe, calibration, overwrite=overwrite
+    )
+    current_session().say(f"wrote {info.rows} points to {scans[-1]}")
+
+
+def export_to(
+    archive: Archive,
+    words: list[str],
+    out: Path,
+    recipe: str | None,
+    calibration: str,
+    *,
+    overwrite: bool,
+) -> ExportInfo:
+    """Write the points of the named scans to ``out``; returns what the file says of itself."""
+    from .. import __version__
+    from ..store.export import ExportInfo, check_format, export_points
+
+    check_format(out)
+    made = points_of(archive, words, recipe, calibration)
+    info = ExportInfo(
+        scans=[m.scan for m in made],
+        recipe=f"{made[0].recipe_document.get('name')} ({made[0].recipe})",
+        calibrations=sorted({str(m.calibration) for m in made}),
+        keys=[m.key for m in made],
+        software=f"turnscan {__version__}",
+        rows=sum(m.rows for m in made),
+    )
+    with current_session().progress("exporting") as advance:
+        export_points(_batches(archive, made, advance), out, info, overwrite=overwrite)
+    return info
+
+
+def points_of(
+    archive: Archive, words: list[str], recipe: str | None, calibration: str
+) -> list[DerivationManifest]:
+    """The POINTS of the named scans under one recipe and calibration choice; all must exist."""
+    picked = chosen_scans(archive, words, None)
+    made = []
+    for plan in archive.plan(picked, chosen_recipe(archive, recipe), calibration):
+        if isinstance(plan, Exception):
+            raise plan
+        if plan.points is None:
+            raise NotFoundError(
+                f"scan {plan.scan.scan} has no points of recipe {plan.recipe.name} with calibration "
+                f"{plan.calibration.calibration_id()}",
+                hint=f"turnscan process {plan.scan.scan}",
+            )
+        made.append(plan.points)
+    return made
+
+
+def _batches(
+    archive: Archive, made: list[DerivationManifest], advance: Any
+) -> Iterator[pa.RecordBatch]:
+    """Rows of all derivations, with the index of their scan."""
+    import numpy as np
+    import pyarrow as pa
+
+    done, total = 0, sum(m.rows for m in made)
+    for index, manifest in enumerate(made):
+        for batch in archive.read(manifest):
+            number = pa.array(np.full(batch.num_rows, index, np.uint16))
+            yield batch.append_column(pa.field("scan_index", pa.uint16()), number)
+            done += batch.num_rows
+            advance(done, total)

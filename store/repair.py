@@ -1,0 +1,139 @@
+"""Put an archive right without losing anything: salvage, move aside, rebuild. Nothing is deleted but
+staging files and locks of processes that are gone.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ..schemas.errors import ConflictError, TurnscanError
+from . import layout
+from .bytes import STAGING, LocalFolder
+from .drafts import DraftLock
+from .projection import manifests_of_derivations, read_manifest
+from .salvage import salvage_log
+from .verify import stray_tables, table_damage
+
+if TYPE_CHECKING:
+    from .archive import Archive
+
+#: Where damaged derivations go: never globbed, never read, for the user to look at.
+QUARANTINE = "quarantine"
+_SALVAGED = "salvaged.txt"
+
+
+@dataclass(frozen=True)
+class Repair:
+    """One thing that was done, or would be."""
+
+    path: str
+    did: str
+
+
+def repair(archive: Archive, *, dry_run: bool = False) -> list[Repair]:
+    """Salvage unfinished scans, move damaged tables aside, clear dead staging, rebuild the catalogue.
+
+    Sealed scans, calibrations and events are never touched: damage there needs a copy.
+    """
+    done = _salvage_parts(archive, dry_run=dry_run)
+    done += _move_aside(archive.store, dry_run=dry_run)
+    done += _clear_staging(archive.store, dry_run=dry_run)
+    if not dry_run:
+        archive.rebuild_catalog()
+    return [*done, Repair(layout.CATALOG, "rebuild" if dry_run else "rebuilt")]
+
+
+def _salvage_parts(archive: Archive, *, dry_run: bool) -> list[Repair]:
+    out = []
+    store = archive.store
+    for scan in store.list(layout.SCANS):
+        folder = f"{layout.SCANS}/{scan}"
+        names = store.list(folder)
+        if layout.MANIFEST in names or _SALVAGED in names:
+            continue
+        part = layout.PART if layout.PART in names else layout.LOG if layout.LOG in names else None
+        try:
+            lock = DraftLock(store, scan)
+        except ConflictError:
+            out.append(Repair(folder, "left alone: it is being written"))
+            continue
+        try:
+            if part is None:
+                out.append(Repair(folder, "holds no log" if names else "is empty"))
+                continue
+            path = f"{folder}/{part}"
+            if dry_run:
+                out.append(Repair(path, "salvage into a new scan"))
+                continue
+            out.append(_salvage(archive, path, scan))
+        finally:
+            lock.release()
+    return out
+
+
+def _salvage(archive: Archive, path: str, scan: str) -> Repair:
+    store = archive.store
+    try:
+        with archive.new_scan() as draft:
+            saved = salvage_log(store.local(path), draft.part, scan=draft.scan, salvaged_from=scan)
+            summary = archive.seal(draft, draft.examine())
+    except TurnscanError as error:
+        return Repair(path, f"cannot be salvaged: {error}")
+    lost = "; ".join(saved.lost) or "nothing but its end"
+    # The old file is kept as it is; this note keeps a second repair from salvaging it again.
+    store.put_if_absent(
+        layout.scan_file(scan, _SALVAGED), f"salvaged into {summary.scan}; lost: {lost}\n".encode()
+    )
+    return Repair(path, f"salvaged {saved.frames} frames into {summary.scan}; lost: {lost}")
+
+
+def _move_aside(store: LocalFolder, *, dry_run: bool) -> list[Repair]:
+    bad: dict[str, str] = {}
+    for path in manifests_of_derivations(store):
+        try:
+            damage = table_damage(store, read_manifest(store, path))
+        except TurnscanError as error:
+            damage = [str(error)]
+        if damage:
+            table = path.removesuffix(".json") + ".parquet"
+            for name in (path, table):
+                if store.head(name) is not None:
+                    bad[name] = damage[0]
+    for path in stray_tables(store):
+        bad.setdefault(path, "it has no manifest")
+    out = []
+    for path, why in bad.items():
+        out.append(Repair(path, f"{'move' if dry_run else 'moved'} to {QUARANTINE}: {why}"))
+        if not dry_run:
+            target = store.local(f"{QUARANTINE}/{path}")
+            target.parent.mkdir(parents=True, exist_ok=True)
+            n = 0
+            while target.exists():
+                n += 1
+                target = target.with_name(f"{target.name}.{n}")
+            store.local(path).rename(target)
+    return out
+
+
+def _clear_staging(store: LocalFolder, *, dry_run: bool) -> list[Repair]:
+    out = []
+    for name in store.list(STAGING):
+        owner = name.split("-", 1)[0]
+        if not owner.isdigit() or _alive(int(owner)):
+            continue
+        out.append(Repair(f"{STAGING}/{name}", "delete" if dry_run else "deleted"))
+        if not dry_run:
+            store.delete(f"{STAGING}/{name}")
+    return out
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
