@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from .schemas.software import __version__
+
 if TYPE_CHECKING:
     from .process.extract import extract_stripe
     from .store import Archive
 
-__version__ = "0.1.0"
 __all__ = ["Archive", "__version__", "extract_stripe"]
 
 

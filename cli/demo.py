@@ -1,4 +1,4 @@
-"""``turnscan demo``: no hardware, no data; a simulated room from frames to accuracy, PLY and picture."""
+"""``turnscan demo``: a simulated room, from frames to accuracy, PLY and picture."""
 
 from __future__ import annotations
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..schemas.errors import NotFoundError, UsageError
+from ..schemas.software import SOFTWARE
 from .output import Format, FormatOption, JsonOption, chosen, current_session, emit
 from .places import CalibrationOption, chosen_recipe, chosen_scans, complete_scan, open_archive
 from .recipes import RecipeOption
@@ -77,7 +78,6 @@ def export_to(
     overwrite: bool,
 ) -> ExportInfo:
     """Write the points of the named scans to ``out``; returns what the file says of itself."""
-    from .. import __version__
     from ..store.export import ExportInfo, check_format, export_points
 
     check_format(out)
@@ -87,7 +87,7 @@ def export_to(
         recipe=f"{made[0].recipe_document.get('name')} ({made[0].recipe})",
         calibrations=sorted({str(m.calibration) for m in made}),
         keys=[m.key for m in made],
-        software=f"turnscan {__version__}",
+        software=SOFTWARE,
         rows=sum(m.rows for m in made),
     )
     with current_session().progress("exporting") as advance:

@@ -1,4 +1,4 @@
-"""``turnscan verify`` and ``turnscan repair``: is every byte what was written, and what to do if not."""
+"""``turnscan verify`` and ``turnscan repair``: is every byte what was written, and what if not."""
 
 from __future__ import annotations
 

@@ -15,6 +15,7 @@ import typer
 from typer.exceptions import TyperException
 
 from ..schemas.errors import TurnscanError
+from ..schemas.software import SOFTWARE
 from .calibrations import calibration_app
 from .demo import demo
 from .deriving import process, status
@@ -55,9 +56,7 @@ app.command()(repair)
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        from .. import __version__
-
-        sys.stdout.write(f"turnscan {__version__}\n")
+        sys.stdout.write(f"{SOFTWARE}\n")
         raise typer.Exit
 
 

@@ -89,7 +89,8 @@ def _has_ceiling(points: Floats, low: Floats, span: Floats) -> bool:
 
 def _colours(part: Floats) -> npt.NDArray[np.uint8]:
     index = np.clip(np.rint(np.asarray(part) * 255), 0, 255).astype(np.uint8)
-    return cv2.applyColorMap(index.reshape(-1, 1), cv2.COLORMAP_VIRIDIS).reshape(-1, 3)
+    mapped = cv2.applyColorMap(index.reshape(-1, 1), cv2.COLORMAP_VIRIDIS)
+    return mapped.reshape(-1, 3).astype(np.uint8)
 
 
 def _oblique(points: Floats, azimuth_deg: float, elevation_deg: float) -> tuple[Floats, Floats, Floats]:

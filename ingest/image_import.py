@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -22,6 +21,7 @@ from ..schemas.events import (
     TurntableAngle,
 )
 from ..schemas.manifests import ScanSummary
+from ..schemas.software import SOFTWARE
 from ..store import Archive
 from ..store.log_writer import LogWriter
 from .image_reading import ImageFile, read_image
@@ -86,13 +86,11 @@ def _start_time(plan: ImportPlan) -> tuple[int, str]:
         return plan.poses[0].t_ns, "csv"
     if plan.started_ns is not None:
         return plan.started_ns, "given, frames a nominal second apart"
-    oldest = min(os.stat(p.path).st_mtime_ns for p in plan.poses)
+    oldest = min(p.path.stat().st_mtime_ns for p in plan.poses)
     return max(oldest, 0), "oldest file, frames a nominal second apart"
 
 
 def _write_head(writer: LogWriter, plan: ImportPlan, scan: str, t_ns: int, time_source: str) -> None:
-    from .. import __version__
-
     lasers = sorted({n for p in plan.poses for n in p.lasers_on})
     start = ScanStart(
         t_ns=t_ns,
@@ -102,7 +100,7 @@ def _write_head(writer: LogWriter, plan: ImportPlan, scan: str, t_ns: int, time_
         tags=plan.tags,
         source="imported images",
         time_source=time_source,
-        software=f"turnscan {__version__}",
+        software=SOFTWARE,
         lasers=tuple(lasers),
     )
     writer.write_event(start)

@@ -55,7 +55,7 @@ def find_images(sources: Sequence[str | Path]) -> tuple[list[Path], list[Path]]:
             continue
         else:
             # glob, because a pattern that the shell left alone may hold folders and ** as well.
-            found = [Path(p) for p in glob.glob(str(source), recursive=True) if Path(p).is_file()]  # noqa: PTH207
+            found = [Path(p) for p in glob.glob(str(source), recursive=True) if Path(p).is_file()]
             if not found:
                 raise InputError(f"{source}: no such file or folder, and no file fits it as a pattern")
         images += [p for p in found if is_image(p)]

@@ -67,8 +67,8 @@ def poses_by_step(
 def poses_from_csv(images: Sequence[Path], table: Path) -> list[Pose]:
     """Poses from a CSV with the columns file, angle_deg and, optionally, t_ns, laser, laser_on.
 
-    ``file`` is a name or a path ending; ``laser`` a number, or several as ``0;1``; ``laser_on = 0`` makes
-    a laser-off frame. Frames are in the order of ``t_ns`` where it is given, else of the rows.
+    ``file`` is a name or a path ending; ``laser`` a number, or several as ``0;1``; ``laser_on = 0``
+    makes a laser-off frame. Frames are in the order of ``t_ns`` where it is given, else of the rows.
 
     Raises
     ------

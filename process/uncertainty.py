@@ -9,6 +9,7 @@ machine's precision, where their error is about 1e-10 of the value.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -77,7 +78,7 @@ def _by_camera(u: Floats, v: Floats, camera: Intrinsics, plane: LaserPlane) -> l
         return _range(u, v, other, plane)
 
     steps = [1e-3] * 4 + [1e-6] * 6
-    return [_slope(lambda d, i=i: moved(i, d), step) for i, step in enumerate(steps)]
+    return [_slope(partial(moved, i), step) for i, step in enumerate(steps)]
 
 
 def _by_plane(u: Floats, v: Floats, camera: Intrinsics, plane: LaserPlane) -> list[Floats]:
@@ -90,4 +91,4 @@ def _by_plane(u: Floats, v: Floats, camera: Intrinsics, plane: LaserPlane) -> li
         other = plane.model_copy(update={"normal": tuple(p[:3]), "distance_mm": p[3]})
         return range_of(intersect(x, y, other))
 
-    return [_slope(lambda d, i=i: moved(i, d), 1e-6 if i < 3 else 1e-3) for i in range(4)]
+    return [_slope(partial(moved, i), 1e-6 if i < 3 else 1e-3) for i in range(4)]

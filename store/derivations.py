@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ..schemas.document import dump_json
 from ..schemas.errors import DamageError
 from ..schemas.manifests import DerivationManifest
+from ..schemas.software import __version__
 from ..schemas.tables import TABLES, TableSpec
 from . import layout
 from .bytes import LocalFolder, storage_error
@@ -28,8 +29,6 @@ ROW_GROUP_ROWS = 262_144
 def made_with() -> dict[str, str]:
     """Versions and machine, recorded in a manifest but no part of any key."""
     from importlib.metadata import version
-
-    from .. import __version__
 
     libraries = ("numpy", "opencv-python-headless", "pyarrow")
     return {
@@ -163,7 +162,7 @@ def publish(
             # make our manifest true of the table that lies there.
             if file_sha256(store.local(table_path)) != sha256:
                 raise DamageError(
-                    f"{store.local(table_path)}: a table without manifest, of other bytes, is in the way",
+                    f"{store.local(table_path)}: a table without manifest is in the way",
                     hint="turnscan repair moves it aside; then run the command again",
                 )
     if not store.put_if_absent(manifest_path, dump_json(manifest.plain())):

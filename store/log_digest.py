@@ -1,7 +1,7 @@
 """What a log is about: content digests and the facts of scan.json, gathered in one pass.
 
-``content_sha256`` covers all that processing reads: for each image, exposure, angle and laser message, in
-order, topic, log time and payload (of images: encoding, size and the SHA-256 of the pixel data).
+``content_sha256`` covers all that processing reads: for each image, exposure, angle and laser message,
+in order, topic, log time and payload (of images: encoding, size and the SHA-256 of the pixel data).
 ``frames_sha256`` covers the images with their angle and lasers, without times and names.
 """
 

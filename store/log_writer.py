@@ -46,6 +46,7 @@ from ..schemas.image_messages import (
     compressed_image_head,
     raw_image_head,
 )
+from ..schemas.software import SOFTWARE
 from .log_chunk import Buffer, ChunkBuilder
 from .log_viewers import camera_calibration_message, frame_transform_message
 
@@ -97,10 +98,8 @@ class LogWriter:
             ) from error
         except OSError as error:
             raise StorageError(f"cannot write {path}: {error.strerror}") from error
-        from .. import __version__
-
         builder = RecordBuilder()
-        Header(profile=PROFILE, library=f"turnscan {__version__}").write(builder)
+        Header(profile=PROFILE, library=SOFTWARE).write(builder)
         self._write([MAGIC, builder.end()])
 
     # -- messages ---------------------------------------------------------------------------------
@@ -280,7 +279,7 @@ class LogWriter:
             metadata_count=0,
             schema_count=len(self._schemas),
         )
-        groups = [
+        groups: list[tuple[Opcode, Sequence[Any]]] = [
             (Opcode.SCHEMA, list(self._schemas.values())),
             (Opcode.CHANNEL, list(self._channels.values())),
             (Opcode.STATISTICS, [statistics]),
@@ -350,4 +349,4 @@ def _raw_parts(exposure: Exposure, image: npt.NDArray[Any]) -> list[Buffer]:
         step=pixels.strides[0],
         size=pixels.nbytes,
     )
-    return [head, memoryview(pixels).cast("B")]
+    return [head, pixels.data.cast("B")]

@@ -17,12 +17,12 @@ def scan_word(word: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         if not living:
             raise NotFoundError("the archive holds no scan", hint="turnscan import images --help")
         return max(living, key=lambda r: str(r["scan"]))
-    for fits in (
-        lambda r: r["scan"] == word,
-        lambda r: r["label"] == word and word,
-        lambda r: r["scan"].startswith(word) or r["scan"].startswith(f"s-{word.upper()}"),
+    prefixes = (word, f"s-{word.upper()}")
+    for found in (
+        [r for r in rows if r["scan"] == word],
+        [r for r in rows if word and r["label"] == word],
+        [r for r in rows if word and r["scan"].startswith(prefixes)],
     ):
-        found = [r for r in rows if fits(r)]
         if len(found) == 1:
             return found[0]
         if found:

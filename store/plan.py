@@ -79,7 +79,8 @@ def what_changed(plan: Plan, kind: str, earlier: list[DerivationManifest]) -> st
     same_recipe = [m for m in mine if m.recipe == plan.recipe.recipe_id()]
     if not same_recipe:
         names = sorted({str(m.recipe_document.get("name", m.recipe)) for m in mine})
-        return f"recipe {plan.recipe.name} ({plan.recipe.recipe_id()}) is new here, known: {', '.join(names)}"
+        known = ", ".join(names)
+        return f"recipe {plan.recipe.name} ({plan.recipe.recipe_id()}) is new here, known: {known}"
     newest = max(same_recipe, key=lambda m: m.created_ns)
     return ", ".join(_differences(plan, kind, newest)) or "an input changed"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from ..schemas.document import dump_json
@@ -47,17 +48,17 @@ def verify(archive: Archive, advance: Advance | None = None) -> list[Finding]:
     columns and number of rows, files that nothing names, and that the catalogue is a true projection.
     """
     store = archive.store
-    tasks: list[Callable[[], list[Finding]]] = []
-    for scan in store.list(layout.SCANS):
-        tasks.append(lambda scan=scan: _scan(store, scan))
-    for name in store.list(layout.CALIBRATIONS):
-        tasks.append(lambda name=name: _document(store, layout.CALIBRATIONS, name))
-    for name in store.list(layout.EVENTS):
-        tasks.append(lambda name=name: _document(store, layout.EVENTS, name))
-    for path in manifests_of_derivations(store):
-        tasks.append(lambda path=path: _derivation(store, path))
-    tasks.append(lambda: _strays(store))
-    tasks.append(lambda: _catalog(archive))
+    tasks: list[Callable[[], list[Finding]]] = [
+        *(partial(_scan, store, scan) for scan in store.list(layout.SCANS)),
+        *(
+            partial(_document, store, folder, name)
+            for folder in (layout.CALIBRATIONS, layout.EVENTS)
+            for name in store.list(folder)
+        ),
+        *(partial(_derivation, store, path) for path in manifests_of_derivations(store)),
+        partial(_strays, store),
+        partial(_catalog, archive),
+    ]
     findings = []
     for i, task in enumerate(tasks):
         findings += task()
@@ -80,7 +81,8 @@ def _scan(store: LocalFolder, scan: str) -> list[Finding]:
     restore = "restore it from a copy; what is derived from it can be trusted no more"
     try:
         lines = store.get(manifest_path).decode().splitlines()
-        listed = dict(reversed(line.split("  ", 1)) for line in lines)
+        pairs = [line.split("  ", 1) for line in lines]
+        listed = {name: sha256 for sha256, name in pairs}
     except (UnicodeDecodeError, ValueError):
         return [Finding(manifest_path, "is no list of digests", restore)]
     for name in (layout.LOG, layout.SUMMARY):

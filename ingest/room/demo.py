@@ -18,12 +18,12 @@ from .render import Light, Truth, render
 from .rig import SimulatedRig
 from .scene import Box, Pillar, Scene, Sphere, Walls
 
-FRAMES = 120
-STEP_DEG = 3.0
+FRAMES = 180
+STEP_DEG = 2.0
 
 
 def demo_scene() -> Scene:
-    """A room of 8 x 6 x 2.6 m with a pillar, two boxes and a ball; the scanner stands off its middle."""
+    """A room of 8 x 6 x 2.6 m with a pillar, boxes and balls; the scanner stands off its middle."""
     return Scene(
         (
             Walls((-2800.0, -2600.0, -1100.0), (5200.0, 3400.0, 1500.0), albedo=0.85),

@@ -1,7 +1,7 @@
 """Render what the camera sees of the laser line, with the exact truth of every row.
 
-The laser's fan is cast ray by ray; where the picture of the line crosses the middle of an image row, the
-fan angle is solved for, so that truth has no sampling error. Shadows are real: a point must be seen
+The laser's fan is cast ray by ray; where the picture of the line crosses the middle of an image row,
+the fan angle is solved for, so that truth has no sampling error. Shadows are real: a point must be seen
 by the laser first (nearest hit) and by the camera second (nothing in between).
 """
 
@@ -27,7 +27,7 @@ class Light:
 
     ambient_dn: float = 12.0
     #: Stripe amplitude on a white wall, square to the beam, one metre from the laser.
-    stripe_dn_at_1m: float = 700.0
+    stripe_dn_at_1m: float = 900.0
     width_px: float = 1.8
     noise_dn: float = 2.0
     shot_dn_per_dn: float = 0.02
@@ -37,7 +37,7 @@ class Light:
 
 @dataclass(frozen=True)
 class Truth:
-    """One row's stripe point: sub-pixel position in the (distorted) frame and the scene point behind it.
+    """Stripe points by row: sub-pixel place in the (distorted) frame, and the scene point behind it.
 
     Rows may hold several points, behind one another as seen along the line; all are listed.
     """

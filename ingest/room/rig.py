@@ -74,7 +74,7 @@ class SimulatedRig:
         return np.array([self.plane.distance_mm / self.plane.normal[0], 0.0, 0.0])
 
     def fan(self, angle_rad: Floats) -> Floats:
-        """Unit directions (N, 3) in camera space inside the laser plane; 0 is level, positive is down."""
+        """Unit directions (N, 3) in camera space in the laser plane; 0 is level, positive is down."""
         n = np.array(self.plane.normal)
         level = np.array([-n[2], 0.0, n[0]]) / math.hypot(n[0], n[2])
         if level[2] < 0:

@@ -1,4 +1,4 @@
-"""What stands in the simulated room: primitives with their own ray intersections, in scene space (mm)."""
+"""What stands in the simulated room: shapes with their own ray intersections, in scene space (mm)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ Ints = npt.NDArray[np.int64]
 class Shape(Protocol):
     """Something that light falls on."""
 
-    albedo: float
+    @property
+    def albedo(self) -> float:
+        """Share of the light that is scattered back, 0 to 1."""
 
     def hit(self, origin: Floats, direction: Floats) -> tuple[Floats, Ints]:
         """Distance (N,) along unit rays (N, 3) to the first hit, inf for none, and the face hit."""

@@ -13,8 +13,8 @@ def range_errors_mm(
 ) -> tuple[Floats, Floats]:
     """Error of the range of points (N, 3) in scene space, and their true range, in mm.
 
-    The ray from the camera's centre at ``angle_rad`` through each point is cast into the scene; the error
-    is measured minus true range. Positive: measured too far.
+    The ray from the camera's centre at ``angle_rad`` through each point is cast into the scene; the
+    error is measured minus true range. Positive: measured too far.
     """
     centre = rig.pose(angle_rad).camera_mm
     away = points_mm - centre

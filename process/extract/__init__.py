@@ -1,4 +1,4 @@
-"""Stripe extraction: sub-pixel stripe centres from one frame. One method a file, one public function."""
+"""Stripe extraction: sub-pixel stripe centres from one frame. A method a file, one public function."""
 
 from __future__ import annotations
 

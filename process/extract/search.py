@@ -26,9 +26,9 @@ _BOX = 5
 class Stripes:
     """Rows with a stripe, and the samples about each peak.
 
-    ``samples`` is (N, 2 K + 1): grey values (less the laser-off frame) at ``left + j``; where ``inside``
-    is False the window reaches over the frame's or the search window's border. ``run`` marks the
-    samples that belong to the stripe: the unbroken stretch about the peak above half its height.
+    ``samples`` is (N, 2 K + 1): grey values (less the laser-off frame) at ``left + j``; where
+    ``inside`` is False the window reaches over the frame's or the search window's border. ``run`` marks
+    the samples that belong to the stripe: the unbroken stretch about the peak above half its height.
     ``clipped`` marks those at or above the saturation level.
     """
 

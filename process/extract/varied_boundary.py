@@ -1,8 +1,8 @@
 """The paper's method: Gaussian fit between the extrema of the grey gradient.
 
-Xiao et al. 2015, section 3.2.2: samples above Gbase; the gradient is the difference of adjacent samples;
-those between its maximum and its minimum are fitted with ln f = a0 + a1 x + a2 x^2 by least squares
-(formulas 20-25); the centre is -a1 / (2 a2) (formula 26).
+Xiao et al. 2015, section 3.2.2: samples above Gbase; the gradient is the difference of adjacent
+samples; those between its maximum and its minimum are fitted with ln f = a0 + a1 x + a2 x^2 by least
+squares (formulas 20-25); the centre is -a1 / (2 a2) (formula 26).
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ def _sigma(
 ) -> Floats:
     """First-order standard deviation of -a1 / (2 a2), the noise of ln f being s / f.
 
-    With N the normal matrix, da = N^-1 sum(v e / f), v = (1, x, x^2); so each sample moves the centre by
-    g = -(c1 + 2 offset c2) / (2 a2) times e / f, where (c1, c2) are rows 1 and 2 of N^-1 applied to v.
+    With N the normal matrix, da = N^-1 sum(v e / f), v = (1, x, x^2); so each sample moves the centre
+    by g = -(c1 + 2 offset c2) / (2 a2) times e / f, with (c1, c2) rows 1 and 2 of N^-1 v.
     """
     count, s1, s2, s3, s4 = sums
     # Rows 1 and 2 of the inverse of [[n s1 s2] [s1 s2 s3] [s2 s3 s4]], times its determinant.

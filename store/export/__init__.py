@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import uuid
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -118,7 +117,7 @@ def export_points(
     try:
         write(batches, aside, info, suffix)
         fsync_file(aside)
-        os.replace(aside, out)
+        aside.replace(out)
         fsync_folder(out.absolute().parent)
     except OSError as error:
         raise storage_error(error, out) from error

@@ -23,7 +23,7 @@ def write(batches: Iterable[pa.RecordBatch], out: Path, info: ExportInfo, suffix
     with out.open("wb", buffering=0) as file:
         file.write(_head(dtype, info))
         for batch in batches:
-            file.write(memoryview(packed(batch, dtype)).cast("B"))
+            file.write(packed(batch, dtype).data.cast("B"))
 
 
 def _head(dtype: np.dtype[np.void], info: ExportInfo) -> bytes:

@@ -25,7 +25,7 @@ def write(batches: Iterable[pa.RecordBatch], out: Path, info: ExportInfo, suffix
             if dtype is None:
                 dtype = packed_dtype(_ordered(batch).schema, _NAMES)
                 file.write(_head(dtype, info))
-            file.write(memoryview(packed(_ordered(batch), dtype)).cast("B"))
+            file.write(packed(_ordered(batch), dtype).data.cast("B"))
         if dtype is None:
             schema = POINTS.arrow_schema().append(pa.field("scan_index", pa.uint16()))
             empty = pa.RecordBatch.from_pylist([], schema=schema)
