@@ -39,6 +39,7 @@ from ..schemas.channels import PROFILE
 from ..schemas.errors import DamageError, StorageError
 
 MAGIC: Final = b"\x89MCAP0\r\n"
+_LARGEST_CHUNK: Final = 1 << 31
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _RECORD_HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
@@ -151,6 +152,9 @@ def inner_records(data: memoryview, path: Path, offset: int, *, start: int, end:
 def _decompress(name: bytes, data: memoryview, size: int, path: Path, offset: int) -> Any:
     if name == b"":
         return data
+    # zstd stores 128 KiB in no less than four bytes: what claims more would only fill the memory.
+    if size > min(len(data) * 32_768 + 131_072, _LARGEST_CHUNK):
+        raise damaged(path, offset, f"a chunk of {len(data)} bytes claims to hold {size}")
     try:
         if name == b"zstd":
             return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
@@ -226,8 +230,16 @@ class RecordWalk:
             offset += 9 + length
 
     def _check_attachment(self, body: bytes, offset: int) -> None:
-        (crc,) = struct.unpack("<I", body[-4:])
-        if crc and isal_zlib.crc32(memoryview(body)[:-4]) != crc:
+        """The CRC stands right after the data; a record may be longer than its fields."""
+        try:
+            at = 16
+            for _ in ("name", "media type"):
+                at += 4 + struct.unpack_from("<I", body, at)[0]
+            at += 8 + struct.unpack_from("<Q", body, at)[0]
+            (crc,) = struct.unpack_from("<I", body, at)
+        except struct.error as error:
+            raise damaged(self.path, offset, "an attachment is malformed") from error
+        if crc and isal_zlib.crc32(memoryview(body)[:at]) != crc:
             raise damaged(self.path, offset, "the CRC of an attachment does not fit")
 
     def _summary(self, file: Any, begin: int, *, strict: bool) -> Iterator[tuple[int, Any]]:
