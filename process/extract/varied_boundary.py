@@ -18,7 +18,8 @@ def varied_boundary(stripes: Stripes, noise: float, base_dn: float) -> tuple[Flo
     """Centres (N,), their standard deviation, and the fitted widths; NaN where there is no fit.
 
     No fit: fewer than three samples between the bounds, bounds in the wrong order, or a parabola that
-    does not open downwards with its vertex between the bounds (a clipped stripe, as a rule). x is
+    does not open downwards with its vertex between the bounds, or is so flat that the vertex is less
+    certain than the stretch is long (a clipped stripe, as a rule). x is
     taken from the peak and the normal equations are solved by Cramer's rule, which is exact to
     rounding for such short stretches; the paper solves the same equations by Householder's method.
     """
@@ -30,7 +31,8 @@ def varied_boundary(stripes: Stripes, noise: float, base_dn: float) -> tuple[Flo
     rise = np.where(counts, step, -np.inf).argmax(axis=1)
     fall = np.where(counts, step, np.inf).argmin(axis=1)
     index = np.arange(f.shape[1])
-    use = (index > rise[:, None]) & (index <= fall[:, None]) & bright & (f > 0)
+    # Both samples of either extreme difference belong to the stretch.
+    use = (index >= rise[:, None]) & (index <= fall[:, None] + 1) & bright & (f > 0)
     x = np.where(use, stripes.positions(), 0.0)
     log = np.log(np.where(use, f, 1.0))
     count = use.sum(axis=1).astype(np.float64)
@@ -46,6 +48,8 @@ def varied_boundary(stripes: Stripes, noise: float, base_dn: float) -> tuple[Flo
         good = (count >= _LEAST) & (a2 < 0) & (offset >= first) & (offset <= last)
         sigma = _sigma(x, f, use, offset, (count, s1, s2, s3, s4), det, a2, noise)
         width = np.sqrt(-0.5 / a2)
+        # A nearly flat parabola has its vertex anywhere: the fit knows that by its own deviation.
+        good &= sigma <= last - first
     nan = np.float64(np.nan)
     return (
         np.where(good, stripes.peak + offset, nan),
