@@ -74,4 +74,4 @@ def test_etna_clipped_stripe_is_centred_by_its_flanks(test_data: Path) -> None:
         assert len(found) > 850
         assert abs(float(np.median(off))) < 0.1
         assert np.percentile(np.abs(off), 99) < 0.6
-        assert (found["flags"] & Flag.SATURATED).mean() > 0.95
+        assert (found["flags"] & Flag.SATURATED).mean() > 0.8
