@@ -40,18 +40,20 @@ app = typer.Typer(
     epilog="Examples: turnscan init lab; cd lab; turnscan import images photos --step-deg 1.125; "
     "turnscan process; turnscan export latest cloud.ply",
 )
-app.command()(init)
-app.command()(demo)
+app.command(epilog="Example: turnscan init lab")(init)
+app.command(epilog="Example: turnscan demo room --overwrite")(demo)
 app.add_typer(import_app, name="import")
 app.add_typer(calibration_app, name="calibration")
-app.command()(process)
-app.command()(status)
+app.command(epilog="Example: turnscan process latest --recipe paper --dry-run")(process)
+app.command(epilog="Example: turnscan status --check")(status)
 app.add_typer(scan_app, name="scan")
 app.add_typer(recipe_app, name="recipe")
-app.command()(query)
-app.command()(export)
-app.command()(verify)
-app.command()(repair)
+app.command(
+    epilog="Example: turnscan query 'SELECT frame, avg(range_mm) FROM points GROUP BY frame' --format csv"
+)(query)
+app.command(epilog="Example: turnscan export latest cloud.ply")(export)
+app.command(epilog="Example: turnscan verify --json")(verify)
+app.command(epilog="Example: turnscan repair --dry-run")(repair)
 
 
 def _show_version(wanted: bool) -> None:

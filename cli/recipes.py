@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..schemas.errors import StorageError
-from ..schemas.recipe import BUILT_IN, Recipe, built_in_recipe, parse_recipe
 from .output import Format, FormatOption, JsonOption, chosen, emit
+
+if TYPE_CHECKING:
+    from ..schemas.recipe import Recipe
 
 recipe_app = typer.Typer(
     no_args_is_help=True,
@@ -21,6 +23,9 @@ recipe_app = typer.Typer(
 
 def load_recipe(word: str) -> Recipe:
     """The recipe that ``word`` names: a built-in name, or the path of a TOML file."""
+    # Late, here and below: building the models takes longer than the rest of the start-up.
+    from ..schemas.recipe import built_in_recipe, parse_recipe
+
     if not word.endswith(".toml"):
         return built_in_recipe(word)
     try:
@@ -35,6 +40,8 @@ def load_recipe(word: str) -> Recipe:
 
 def complete_recipe(incomplete: str) -> list[str]:
     """Names of built-in recipes and TOML files, for tab completion."""
+    from ..schemas.recipe import BUILT_IN
+
     names = sorted(BUILT_IN) + sorted(p.name for p in Path().glob("*.toml"))
     return [n for n in names if n.startswith(incomplete)]
 
@@ -80,6 +87,8 @@ def _toml(value: Any) -> str:
 @recipe_app.command("list", epilog="Example: turnscan recipe list --json")
 def list_recipes(style: FormatOption = Format.table, as_json: JsonOption = False) -> None:
     """List the built-in recipes."""
+    from ..schemas.recipe import BUILT_IN
+
     rows = [{"name": r.name, "recipe": r.recipe_id(), "note": r.note} for r in BUILT_IN.values()]
     emit(rows, ["name", "recipe", "note"], chosen(style, as_json))
 

@@ -68,7 +68,8 @@ def poses_from_csv(images: Sequence[Path], table: Path) -> list[Pose]:
     """Poses from a CSV with the columns file, angle_deg and, optionally, t_ns, laser, laser_on.
 
     ``file`` is a name or a path ending; ``laser`` a number, or several as ``0;1``; ``laser_on = 0``
-    makes a laser-off frame. Frames are in the order of ``t_ns`` where it is given, else of the rows.
+    makes a laser-off frame. Frames are in the order of ``t_ns`` where it is given, else in that of
+    ``images``; the order of rows does not matter.
 
     Raises
     ------
@@ -99,6 +100,10 @@ def poses_from_csv(images: Sequence[Path], table: Path) -> list[Pose]:
         raise InputError(f"{table}, line {line}: t_ns is empty, but other rows have it")
     if all(timed):
         out.sort(key=lambda p: p.t_ns or 0)
+    else:
+        # A CSV made by `ls` has frame10 before frame2: the images' own order is what people mean.
+        place = {path: i for i, path in enumerate(images)}
+        out.sort(key=lambda p: place[p.path])
     if not any(p.lasers_on for p in out):
         raise InputError(f"{table}: every frame is a laser-off frame")
     return out

@@ -12,7 +12,7 @@ from ...schemas.errors import InputError, UsageError
 from ...schemas.tables import Flag
 from .argmax import argmax
 from .centroid import centroid
-from .search import Floats, Stripes, find_stripes, half_width_px, noise_dn
+from .search import FWHM, Floats, Stripes, find_stripes, half_width_px, noise_dn
 from .varied_boundary import varied_boundary
 
 __all__ = ["METHODS", "STRIPE_DTYPE", "extract_stripe"]
@@ -30,8 +30,6 @@ STRIPE_DTYPE: Final = np.dtype(
     ]
 )
 
-# Width at half height of a Gaussian is this many standard deviations.
-_FWHM = 2.0 * np.sqrt(2.0 * np.log(2.0))
 #: Below this ratio of amplitude to noise the centre is called weak.
 _WEAK = 8.0
 
@@ -128,7 +126,7 @@ def extract_stripe(
     out = np.zeros(len(centre), STRIPE_DTYPE)
     out["row"], out["u_px"], out["sigma_u_px"] = stripes.row, centre, sigma
     out["amplitude_dn"], out["background_dn"] = stripes.amplitude_dn, stripes.background_dn
-    out["width_px"] = half_width_px(stripes) / _FWHM if width is None else width
+    out["width_px"] = half_width_px(stripes) / FWHM if width is None else width
     out["flags"] = _flags(stripes, noise)
     return out[np.isfinite(centre)]
 

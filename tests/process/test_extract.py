@@ -80,7 +80,7 @@ def test_clean_rows_give_their_centre(method: str, dtype: str) -> None:
     frame = gaussian_frame(truth, amplitude=200 * scale, background=10 * scale, dtype=dtype)
     found = extract_stripe(frame, method, base_dn=30 * scale)
     assert found["row"].tolist() == list(range(200))
-    tolerance = {"argmax": 0.56, "centroid": 0.03, "varied-boundary": 0.2}[method]
+    tolerance = {"argmax": 0.56, "centroid": 0.04, "varied-boundary": 0.2}[method]
     assert np.abs(found["u_px"] - truth).max() < tolerance
     assert found["amplitude_dn"] == pytest.approx(np.full(200, 200 * scale), rel=0.06)
     assert found["background_dn"] == pytest.approx(np.full(200, 10 * scale), abs=scale)
@@ -130,11 +130,12 @@ def test_noise_is_a_known_multiple_of_the_cramer_rao_bound(
 
 def test_the_centroids_own_deviation_is_honest() -> None:
     truth = centres(6000)
-    for noise in (1.0, 4.0):
-        found = extract_stripe(gaussian_frame(truth, noise=noise, background=20.0), "centroid")
+    for noise, width in ((0.0, 2.5), (1.0, 1.5), (1.0, 2.5), (4.0, 2.5), (2.0, 5.0)):
+        frame = gaussian_frame(truth, noise=noise, width=width, background=20.0)
+        found = extract_stripe(frame, "centroid")
         error = found["u_px"] - truth[found["row"]]
         ratio = float(np.std(error) / np.sqrt(np.mean(found["sigma_u_px"] ** 2)))
-        assert 0.9 < ratio < 1.15
+        assert 0.7 < ratio < 1.15, (noise, width)
 
 
 @settings(max_examples=40, deadline=None)
