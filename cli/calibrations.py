@@ -18,7 +18,11 @@ from .places import (
     show_time,
 )
 
-calibration_app = typer.Typer(no_args_is_help=True, help="The archive's calibrations.")
+calibration_app = typer.Typer(
+    no_args_is_help=True,
+    help="The archive's calibrations.",
+    epilog="Examples: turnscan calibration add cal.json --certify; turnscan calibration list",
+)
 
 IdArgument = Annotated[
     str,

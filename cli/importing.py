@@ -11,7 +11,11 @@ from ..schemas.errors import UsageError
 from .output import Format, FormatOption, JsonOption, chosen, current_session, emit_object
 from .places import open_archive, parse_tags, parse_time, read_calibration_file, show_time
 
-import_app = typer.Typer(no_args_is_help=True, help="Old data becomes a scan.")
+import_app = typer.Typer(
+    no_args_is_help=True,
+    help="Old data becomes a scan.",
+    epilog="Example: turnscan import images photos --step-deg 1.125",
+)
 
 
 @import_app.callback()

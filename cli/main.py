@@ -49,7 +49,7 @@ app.command(epilog="Example: turnscan status --check")(status)
 app.add_typer(scan_app, name="scan")
 app.add_typer(recipe_app, name="recipe")
 app.command(
-    epilog="Example: turnscan query 'SELECT frame, avg(range_mm) FROM points GROUP BY frame' --format csv"
+    epilog="Example: turnscan query 'SELECT frame, count(*) FROM points GROUP BY frame' --format csv"
 )(query)
 app.command(epilog="Example: turnscan export latest cloud.ply")(export)
 app.command(epilog="Example: turnscan verify --json")(verify)

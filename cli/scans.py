@@ -10,7 +10,11 @@ from ..schemas.errors import UsageError
 from .output import Format, FormatOption, JsonOption, chosen, current_session, emit, emit_object
 from .places import ScanArgument, WhereOption, open_archive, parse_tags, show_time
 
-scan_app = typer.Typer(no_args_is_help=True, help="The archive's scans.")
+scan_app = typer.Typer(
+    no_args_is_help=True,
+    help="The archive's scans.",
+    epilog="Examples: turnscan scan list; turnscan scan show latest",
+)
 
 
 @scan_app.command("list", epilog="Example: turnscan scan list --where \"rig = 'desk'\" --json")

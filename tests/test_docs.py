@@ -48,3 +48,25 @@ def test_examples_in_the_format_page_are_real_documents() -> None:
     assert len(examples) == 2
     for text in examples:
         assert parse_calibration(text, where="docs/format.md").lasers
+
+
+def test_the_command_reference_is_up_to_date(generate: ModuleType) -> None:
+    committed = (ROOT / "docs" / "cli.md").read_text()
+    assert generate.cli_text() == committed, "run `make docs` and commit docs/cli.md"
+
+
+def test_every_command_has_help_and_an_example(generate: ModuleType) -> None:
+    for path, command in generate.commands():
+        if not hasattr(command, "commands"):
+            assert command.help, path
+            assert command.epilog, f"turnscan {' '.join(path)} has no example"
+            assert any(e.strip().startswith("turnscan") for e in generate.examples(command.epilog))
+
+
+def test_versions_agree() -> None:
+    import tomllib
+
+    from turnscan import __version__
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["version"] == __version__
