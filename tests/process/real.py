@@ -115,3 +115,23 @@ def read_colour(path: Path) -> np.ndarray:
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     assert image is not None, path
     return image
+
+
+def measure_archive(folder: str, calibration: str = "current") -> Measured:
+    """What the newest scan of an archive shows, under the recipe default."""
+    from turnscan.store import Archive
+
+    archive = Archive.open(folder)
+    scan = archive.scan("latest").scan
+    points = archive.points(where=f"scan = '{scan}'", calibration=calibration).collect()
+    x, y, z = (points[f"{a}_mm"].to_numpy().astype(np.float64) for a in "xyz")
+    return measure(x, y, z, points["frame"].to_numpy())
+
+
+if __name__ == "__main__":
+    import sys
+
+    found = measure_archive(*sys.argv[1:])
+    print(f"disc: rms {found.disc_rms_mm:.2f} mm, tilt {found.disc_tilt_deg:.2f} deg")
+    print(f"rim: radius {found.rim_radius_mm:.2f} mm, circle rms {found.rim_rms_mm:.3f} mm")
+    print("block: {:.1f} x {:.1f} x {:.1f} mm".format(*found.block_mm))
