@@ -48,12 +48,14 @@ $(BIN)/python:
 	  { rm -rf $(VENV); echo "neither ensurepip nor pip found: install python3-venv or python3-pip" >&2; exit 1; }
 
 $(VENV)/run.stamp: requirements/run.lock pyproject.toml | $(BIN)/python
-	$(PIP) install $(INSTALL) -r requirements/run.lock
-	$(PIP) install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@echo "installing what turnscan needs into $(VENV)"
+	@$(PIP) install $(INSTALL) -r requirements/run.lock
+	@$(PIP) install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
 $(VENV)/dev.stamp: requirements/dev.lock $(VENV)/run.stamp
-	$(PIP) install $(INSTALL) -r requirements/dev.lock
+	@echo "installing what its checks need into $(VENV)"
+	@$(PIP) install $(INSTALL) -r requirements/dev.lock
 	@touch $@
 
 clean:

@@ -72,6 +72,26 @@ def fsync_file(path: Path) -> None:
         os.close(handle)
 
 
+_NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
+
+
+def _link(source: Path, target: Path) -> bool:
+    """Give ``source`` the name ``target`` unless that is taken; whether it was free."""
+    try:
+        os.link(source, target)
+    except FileExistsError:
+        return False
+    except OSError as error:
+        if error.errno not in _NO_LINKS:
+            raise
+        # exFAT and some network mounts have no hard links. A rename replaces what another process
+        # put there since the look, but only with the same key's bytes.
+        if target.exists():
+            return False
+        source.rename(target)
+    return True
+
+
 class LocalFolder:
     """A ByteStore in a folder of the local file system."""
 
@@ -106,12 +126,8 @@ class LocalFolder:
         try:
             fsync_file(source)
             self._make_folder(target.parent)
-            try:
-                os.link(source, target)
-                ours = True
-            except FileExistsError:
-                ours = False
-            source.unlink()
+            ours = _link(source, target)
+            source.unlink(missing_ok=True)
             fsync_folder(target.parent)
         except OSError as error:
             raise storage_error(error, target) from error

@@ -41,6 +41,10 @@ class DraftLock:
                 hint="wait until it is done, or stop that process",
             ) from error
 
+    def keep(self) -> None:
+        """Let go, and leave the lock's file."""
+        os.close(self._handle)
+
     def release(self) -> None:
         """Let go and remove the lock's file."""
         self._path.unlink(missing_ok=True)

@@ -120,6 +120,9 @@ def _move_aside(store: LocalFolder, *, dry_run: bool) -> list[Repair]:
 def _clear_staging(store: LocalFolder, *, dry_run: bool) -> list[Repair]:
     out = []
     for name in store.list(STAGING):
+        if name.endswith(".lock"):
+            out += _clear_lock(store, name, dry_run=dry_run)
+            continue
         owner = name.split("-", 1)[0]
         if not owner.isdigit() or _alive(int(owner)):
             continue
@@ -127,6 +130,19 @@ def _clear_staging(store: LocalFolder, *, dry_run: bool) -> list[Repair]:
         if not dry_run:
             store.delete(f"{STAGING}/{name}")
     return out
+
+
+def _clear_lock(store: LocalFolder, name: str, *, dry_run: bool) -> list[Repair]:
+    """A lock that can be taken belongs to nobody."""
+    try:
+        lock = DraftLock(store, name.removesuffix(".lock"))
+    except ConflictError:
+        return []
+    if dry_run:
+        lock.keep()
+    else:
+        lock.release()
+    return [Repair(f"{STAGING}/{name}", "delete" if dry_run else "deleted")]
 
 
 def _alive(process: int) -> bool:

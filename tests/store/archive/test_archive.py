@@ -469,7 +469,9 @@ def damage(lab: Archive, what: str) -> str:
         return "scan.json"
     if what == "scan-manifest":
         text = (folder / "manifest-sha256.txt").read_text()
-        (folder / "manifest-sha256.txt").write_text(text[:10] + "0" + text[11:])
+        (folder / "manifest-sha256.txt").write_text(
+            text[:10] + ("1" if text[10] == "0" else "0") + text[11:]
+        )
         return "scan.mcap"
     if what == "table":
         flip(lab.root / points.path, 300)
