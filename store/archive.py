@@ -16,38 +16,33 @@ from ..schemas.archive_events import (
     Withdrawn,
     parse_archive_event,
 )
-from ..schemas.calibration import Calibration, parse_calibration
-from ..schemas.document import check_version, dump_json, parse_toml, validate
+from ..schemas.calibration import Calibration
+from ..schemas.document import dump_json
 from ..schemas.errors import (
     CalibrationError,
-    ConflictError,
-    NotFoundError,
     StorageError,
 )
 from ..schemas.ids import new_ulid
 from ..schemas.manifests import (
-    ARCHIVE_VERSION,
     ArchiveSettings,
     DerivationManifest,
     ScanSummary,
 )
 from ..schemas.recipe import Recipe, built_in_recipe
 from . import layout
-from .bytes import STAGING, LocalFolder, storage_error
+from .bytes import LocalFolder
+from .calibrations import Calibrations, Effective
 from .catalog import Catalog, Row, put
 from .derivations import publish, read_batches
 from .drafts import ScanDraft
-from .effective import Effective, certified_for, none_holds
-from .fold import standing_certifications
 from .log_digest import LogFacts
 from .log_reader import ScanLog
-from .names import calibration_word, scan_word
+from .names import scan_word
+from .opening import make_folder, nearest_archive, read_settings
 from .plan import Plan, keys_of, what_changed
 from .projection import (
     derivation_row,
     event_row,
-    put_calibration,
-    read_calibration,
     rebuild,
     refold,
     scan_row,
@@ -68,8 +63,7 @@ class Archive:
         self.store = LocalFolder(root)
         self.catalog = Catalog(root / layout.CATALOG)
         synchronise(self.store, self.catalog)
-        self._calibrations: dict[str, Calibration] = {}
-        self._standing: list[Certified] | None = None
+        self._calibrations = Calibrations(self.store, self.catalog)
 
     # -- opening ----------------------------------------------------------------------------------
 
@@ -82,24 +76,7 @@ class Archive:
         ConflictError
             The folder holds something already.
         """
-        root = Path(folder).absolute()
-        try:
-            if (root / layout.SETTINGS).exists():
-                raise ConflictError(f"{root} is an archive already", hint=f"cd {root}")
-            if root.exists() and (not root.is_dir() or any(root.iterdir())):
-                raise ConflictError(
-                    f"{root} is not empty", hint="give a new folder, or empty this one first"
-                )
-            root.mkdir(parents=True, exist_ok=True)
-            for name in (layout.SCANS, layout.CALIBRATIONS, layout.EVENTS, layout.DERIVED, STAGING):
-                (root / name).mkdir(exist_ok=True)
-        except OSError as error:
-            raise storage_error(error, root) from error
-        settings = ArchiveSettings(archive=new_ulid(), created_ns=time.time_ns(), recipe=recipe)
-        text = "".join(f"{k} = {_toml(v)}\n" for k, v in settings.plain().items())
-        store = LocalFolder(root)
-        store.put_if_absent(layout.SETTINGS, text.encode())
-        return cls(root, settings)
+        return cls(*make_folder(Path(folder).absolute(), recipe))
 
     @classmethod
     def open(cls, folder: str | Path) -> Archive:
@@ -113,31 +90,12 @@ class Archive:
             It was made by a newer turnscan.
         """
         root = Path(folder).absolute()
-        path = root / layout.SETTINGS
-        try:
-            data = path.read_bytes()
-        except FileNotFoundError as error:
-            raise NotFoundError(
-                f"{root} is no archive (it has no {layout.SETTINGS})",
-                hint=f"turnscan init {folder} makes one",
-            ) from error
-        except OSError as error:
-            raise storage_error(error, path) from error
-        value = parse_toml(data, where=str(path))
-        check_version(value, name="turnscan.archive", version=ARCHIVE_VERSION, where=str(path))
-        return cls(root, validate(ArchiveSettings, value, where=str(path)))
+        return cls(root, read_settings(root))
 
     @classmethod
     def find(cls, start: str | Path = ".") -> Archive:
         """The archive in ``start`` or the nearest folder above it."""
-        here = Path(start).absolute()
-        for folder in (here, *here.parents):
-            if (folder / layout.SETTINGS).is_file():
-                return cls.open(folder)
-        raise NotFoundError(
-            f"no archive in {here} or above",
-            hint="turnscan init DIR makes one; --archive DIR or TURNSCAN_ARCHIVE names one",
-        )
+        return cls.open(nearest_archive(Path(start).absolute()))
 
     def recipe(self) -> Recipe:
         """The archive's default recipe."""
@@ -154,10 +112,9 @@ class Archive:
         summary = draft.seal(facts)
         with self.catalog.writing() as c:
             put(c, "scans", scan_row(summary))
-            if facts.calibration is not None:
-                self._keep_calibration(facts.calibration)
-                put_calibration(c, facts.calibration)
             refold(c)
+        if facts.calibration is not None:
+            self._calibrations.add(facts.calibration)
         return summary
 
     def same_content(self, frames_sha256: str) -> str | None:
@@ -209,7 +166,7 @@ class Archive:
         with self.catalog.writing() as c:
             put(c, "events", event_row(event))
             refold(c)
-        self._standing = None
+        self._calibrations.forget()
         return event
 
     def events(self, kind: str | None = None) -> list[AnyArchiveEvent]:
@@ -233,25 +190,15 @@ class Archive:
 
     def add_calibration(self, calibration: Calibration) -> str:
         """Keep a calibration under its content id, which is returned; adding it again is nothing."""
-        self._keep_calibration(calibration)
-        with self.catalog.writing() as c:
-            put_calibration(c, calibration)
-        return calibration.calibration_id()
-
-    def _keep_calibration(self, calibration: Calibration) -> None:
-        name = calibration.calibration_id()
-        self.store.put_if_absent(layout.calibration_file(name), dump_json(calibration.plain()))
+        return self._calibrations.add(calibration)
 
     def calibration(self, word: str) -> Calibration:
         """The calibration that ``word`` names: an id or a unique prefix of one."""
-        name = calibration_word(word, self.calibration_rows())
-        if name not in self._calibrations:
-            self._calibrations[name] = read_calibration(self.store, name)
-        return self._calibrations[name]
+        return self._calibrations.get(word)
 
     def calibration_rows(self) -> list[Row]:
         """Rows of the catalogue's calibrations, by id."""
-        return self.catalog.rows("SELECT * FROM calibrations ORDER BY calibration")
+        return self._calibrations.rows()
 
     def certify(
         self,
@@ -278,46 +225,20 @@ class Archive:
     def withdraw(self, word: str, *, rig: str | None = None, note: str = "") -> list[Withdrawn]:
         """Take back every standing certification of a calibration (for ``rig``, if given)."""
         name = self.calibration(word).calibration_id()
-        standing = [e for e in self.certifications() if e.calibration == name and rig in (None, e.rig)]
-        if not standing:
-            raise CalibrationError(
-                f"calibration {name} is not certified" + (f" for rig {rig!r}" if rig else ""),
-                hint="turnscan calibration list shows which are",
-            )
         out = []
-        for e in standing:
-            event = self.record_event(Withdrawn, calibration=name, after=e.id, note=note)
+        for standing in self._calibrations.certified(name, rig):
+            event = self.record_event(Withdrawn, calibration=name, after=standing.id, note=note)
             assert isinstance(event, Withdrawn)
             out.append(event)
         return out
 
     def certifications(self) -> list[Certified]:
         """Certifications that stand, oldest first."""
-        if self._standing is None:
-            self._standing = standing_certifications(self.events())
-        return self._standing
+        return self._calibrations.standing()
 
     def effective(self, scan: ScanSummary, choice: str = "current") -> Effective:
         """The calibration that holds for ``scan``: ``current``, ``recorded``, or an id."""
-        if choice == "current":
-            event = certified_for(scan, self.certifications())
-            if event is not None:
-                return Effective(self._known(event.calibration), f"certified by {event.id}")
-        if choice in ("current", "recorded"):
-            if scan.calibration is None:
-                raise none_holds(scan, choice)
-            return Effective(self._known(scan.calibration), "recorded in the log")
-        return Effective(self.calibration(choice), "named")
-
-    def _known(self, name: str) -> Calibration:
-        if name not in self._calibrations:
-            rows = self.catalog.rows("SELECT document FROM calibrations WHERE calibration = ?", (name,))
-            self._calibrations[name] = (
-                parse_calibration(rows[0]["document"], where=name)
-                if rows
-                else read_calibration(self.store, name)
-            )
-        return self._calibrations[name]
+        return self._calibrations.effective(scan, choice)
 
     # -- derivations ------------------------------------------------------------------------------
 
@@ -421,10 +342,6 @@ class Archive:
             return shutil.disk_usage(self.root).free
         except OSError as error:
             raise StorageError(f"{self.root}: {error.strerror}") from error
-
-
-def _toml(value: Any) -> str:
-    return f'"{value}"' if isinstance(value, str) else str(value)
 
 
 def _ulid_after(text: str) -> str:
