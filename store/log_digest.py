@@ -8,6 +8,7 @@ in order, topic, log time and payload (of images: encoding, size and the SHA-256
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,7 +60,7 @@ class LogDigest:
         self._end: ScanEnd | None = None
         self._calibration: Calibration | None = None
         self._angle: float | None = None
-        self._angles: list[float] = []
+        self._lowest, self._highest = math.inf, -math.inf
         self._cameras: set[str] = set()
         self._lasers: set[int] = set()
         self._lit = self._dark = 0
@@ -83,10 +84,8 @@ class LogDigest:
             self._calibration = snapshot_calibration(item, where=self._where)
         elif isinstance(item, TurntableAngle):
             self._angle = item.commanded_rad if item.reported_rad is None else item.reported_rad
-            self._angles = [
-                min([*self._angles[:1], self._angle]),
-                max([*self._angles[1:], self._angle]),
-            ]
+            self._lowest = min(self._lowest, self._angle)
+            self._highest = max(self._highest, self._angle)
         elif isinstance(item, Exposure):
             self._lasers.update(item.lasers_on)
 
@@ -123,7 +122,7 @@ class LogDigest:
         for value, what in (
             (self._start, "/scan/start event"),
             (self._shape, "frame"),
-            (self._angles, "/turntable/angle event"),
+            (self._angle is not None, "/turntable/angle event"),
         ):
             if not value:
                 raise InputError(f"{self._where}: the log holds no {what}, so it is no scan")
@@ -140,8 +139,8 @@ class LogDigest:
             width_px=self._shape[0],
             height_px=self._shape[1],
             encoding=self._shape[2],
-            angle_min_rad=self._angles[0],
-            angle_max_rad=self._angles[1],
+            angle_min_rad=self._lowest,
+            angle_max_rad=self._highest,
             calibration=self._calibration,
             content_sha256=self._content.hexdigest(),
             frames_sha256=self._frames.hexdigest(),
