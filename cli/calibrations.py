@@ -100,7 +100,9 @@ def certify_calibration(
     archive = open_archive()
     begin, end = parse_time(from_time, "--from"), parse_time(to_time, "--to")
     if begin is not None and end is not None and end <= begin:
-        raise UsageError(f"--to {to_time} is not after --from {from_time}")
+        raise UsageError(
+            f"--to {to_time} is not after --from {from_time}", hint="give the earlier time to --from"
+        )
     event = archive.certify(calibration, rig=rig, from_ns=begin, to_ns=end, note=note)
     current_session().say(f"certified {event.calibration} for rig {event.rig} by event {event.id}")
 

@@ -51,7 +51,7 @@ def demo(
 
     session = current_session()
     began = time.monotonic()
-    _make_folder(folder, overwrite=overwrite)
+    make_folder(folder, overwrite=overwrite)
     with session.progress("rendering the room") as advance:
         files = write_demo_frames(folder, seed=seed, advance=advance)
     session.say(f"rendered {len(files.truth)} frames into {files.frames}")
@@ -95,7 +95,8 @@ def demo(
     session.say(f"try: turnscan --archive {folder / 'archive'} scan show latest")
 
 
-def _make_folder(folder: Path, *, overwrite: bool) -> None:
+def make_folder(folder: Path, *, overwrite: bool) -> None:
+    """An empty folder with the demo's mark; only one that bears the mark is ever replaced."""
     if folder.exists() and any(folder.iterdir()):
         if not (folder / _MARK).exists():
             raise ConflictError(f"{folder} is not empty", hint="give another folder")

@@ -37,7 +37,10 @@ def query(
     frame = run_query(open_archive(), sql)
     chosen_style = chosen(style, as_json)
     if chosen_style is Format.csv:
-        frame.write_csv(sys.stdout.buffer)
+        # Written by ourselves, slice by slice: polars would make a plain error of a broken pipe.
+        sys.stdout.write(frame.clear().write_csv())
+        for part in frame.iter_slices(50_000):
+            sys.stdout.write(part.write_csv(include_header=False))
         return
     emit(frame.to_dicts(), frame.columns, chosen_style)
 

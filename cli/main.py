@@ -14,7 +14,14 @@ from typing import Annotated
 import typer
 from typer.exceptions import TyperException
 
-from ..schemas.errors import TurnscanError
+from ..schemas.errors import (
+    DamageError,
+    DocumentError,
+    InputError,
+    StorageError,
+    TurnscanError,
+    UsageError,
+)
 from ..schemas.software import SOFTWARE
 from .calibrations import calibration_app
 from .demo import demo
@@ -54,6 +61,15 @@ app.command(
 app.command(epilog="Example: turnscan export latest cloud.ply")(export)
 app.command(epilog="Example: turnscan verify --json")(verify)
 app.command(epilog="Example: turnscan repair --dry-run")(repair)
+
+#: The way out where an error names none of its own.
+_WAYS_OUT: tuple[tuple[type[TurnscanError], str], ...] = (
+    (InputError, "correct or leave out what is named, then run the command again"),
+    (DocumentError, "correct what is named; docs/format.md shows the form"),
+    (DamageError, "turnscan verify lists what is damaged"),
+    (StorageError, "does it exist, may you read and write there, is there room?"),
+    (UsageError, "turnscan --help lists the commands, and COMMAND --help what each takes"),
+)
 
 
 def _show_version(wanted: bool) -> None:
@@ -96,23 +112,33 @@ def main(arguments: list[str] | None = None) -> None:
     set_session(Session(debug="--debug" in (sys.argv[1:] if arguments is None else arguments)))
     try:
         code = app(args=arguments, prog_name="turnscan", standalone_mode=False)
-    except KeyboardInterrupt:
-        current_session().complain("interrupted", hint=None)
+    except (KeyboardInterrupt, typer.Abort):
         code = 130
     except TurnscanError as error:
-        code = _failed(error, error.hint, error.exit_code)
+        way_out = next((hint for kind, hint in _WAYS_OUT if isinstance(error, kind)), None)
+        code = _failed(error, error.hint or way_out, error.exit_code)
     except TyperException as error:
         code = _usage(error)
-    except typer.Abort:
-        current_session().complain("interrupted", hint=None)
-        code = 130
-    except BrokenPipeError:
-        # A reader such as `head` went away: nothing failed on our side.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = 0
     except OSError as error:
         code = _failed(error, _way_out(error), 1)
+    except SystemExit as stop:
+        # Typer turns a broken pipe into exit code 1 by itself.
+        if not isinstance(stop.__context__, BrokenPipeError):
+            raise
+        code = 0
+    if code == 130:  # Typer's word for Ctrl-C, and ours.
+        current_session().complain("interrupted", hint=None)
+    _let_go_of_stdout()
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _let_go_of_stdout() -> None:
+    """Flush; a reader that went away, such as ``head``, is no failure of ours."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # Else the interpreter would flush once more on its way out, and complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _usage(error: TyperException) -> int:

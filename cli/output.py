@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import logging
+import math
 import os
 import sys
 import time
@@ -54,7 +55,9 @@ class Session:
 
     def start_log(self, log_file: Path | None) -> None:
         """Send the program's log to stderr (from -v) and to ``log_file``."""
-        LOG.handlers.clear()
+        for handler in LOG.handlers[:]:
+            LOG.removeHandler(handler)
+            handler.close()
         LOG.propagate = False
         LOG.setLevel(logging.DEBUG if self.verbose > 1 or log_file else logging.INFO)
         shown = logging.StreamHandler(sys.stderr)
@@ -144,8 +147,7 @@ def chosen(style: Format, as_json: bool) -> Format:
 def emit(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], style: Format) -> None:
     """Write ``rows`` to stdout; in a table, floats are rounded to six digits."""
     if style is Format.json:
-        json.dump([dict(r) for r in rows], sys.stdout, indent=2, ensure_ascii=False, default=str)
-        sys.stdout.write("\n")
+        _write_json([dict(r) for r in rows])
     elif style is Format.csv:
         writer = csv.DictWriter(sys.stdout, columns, extrasaction="ignore", lineterminator="\n")
         writer.writeheader()
@@ -157,14 +159,29 @@ def emit(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], style: Forma
 def emit_object(value: Mapping[str, Any], style: Format) -> None:
     """Write one thing to stdout: JSON object, or one ``name  value`` line a field."""
     if style is Format.json:
-        json.dump(dict(value), sys.stdout, indent=2, ensure_ascii=False, default=str)
-        sys.stdout.write("\n")
+        _write_json(dict(value))
     elif style is Format.csv:
         emit([value], list(value), style)
     else:
         width = max((len(k) for k in value), default=0)
         for key, item in value.items():
             sys.stdout.write(f"{key:<{width}}  {_cell(item)}\n")
+
+
+def _write_json(value: Any) -> None:
+    json.dump(_finite(value), sys.stdout, indent=2, ensure_ascii=False, allow_nan=False, default=str)
+    sys.stdout.write("\n")
+
+
+def _finite(value: Any) -> Any:
+    """``value`` with null for NaN and infinity, which JSON does not know."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(v) for v in value]
+    return value
 
 
 def _flat(value: Any) -> Any:

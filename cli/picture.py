@@ -108,7 +108,8 @@ def _splat(
     """Draw points as small squares, the nearest on top; returns px per mm."""
     height, width = view.shape[:2]
     margin = 28 * _OVER
-    span = max(np.ptp(right) / (width - 2 * margin), np.ptp(down) / (height - 2 * margin), 1e-9)
+    # A cloud of one point has no extent: then the view is 1 mm wide.
+    span = max(np.ptp(right) / (width - 2 * margin), np.ptp(down) / (height - 2 * margin), 1 / width)
     scale = 1.0 / float(span)
     px = (right - (right.min() + right.max()) / 2) * scale + width / 2
     py = (down - (down.min() + down.max()) / 2) * scale + height / 2

@@ -118,7 +118,8 @@ def parse_time(text: str | None, option: str) -> int | None:
         moment = datetime.fromisoformat(text)
     except ValueError as error:
         raise UsageError(
-            f"{option} {text!r}: expected ISO 8601, such as 2026-11-21T10:30:00"
+            f"{option} {text!r}: expected a time in ISO 8601 or whole nanoseconds",
+            hint=f"such as {option} 2026-11-21T10:30:00, which is UTC",
         ) from error
     if moment.tzinfo is None:
         moment = moment.replace(tzinfo=UTC)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,10 +13,22 @@ HERE = Path(__file__).parent
 # console.py stands here; real.py, with the numbers of the real scan, beside the tests of process.
 sys.path[:0] = [str(HERE), str(HERE.parent / "process")]
 
-from console import Console, write_frames, write_json  # noqa: E402
+from console import Console, Inside, write_frames, write_json  # noqa: E402
 from real import SRV, srv_angle_deg  # noqa: E402
 
 from turnscan.ingest.image_sources import natural_key  # noqa: E402
+
+
+@pytest.fixture(autouse=True)
+def _log_of_its_own() -> Iterator[None]:
+    """A command that is called in this process sets up the program's log: undo that."""
+    yield
+    log = logging.getLogger("turnscan")
+    for handler in log.handlers[:]:
+        log.removeHandler(handler)
+        handler.close()
+    log.propagate = True
+    log.setLevel(logging.NOTSET)
 
 
 @pytest.fixture
@@ -46,8 +60,8 @@ def tiny_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def tiny_lab(tiny_files: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An archive with the tiny scan, labelled first and processed; to be copied before it is changed."""
-    run = Console(tmp_path_factory.mktemp("tiny"))
+    """An archive with the tiny scan, labelled first and processed; to be copied before a change."""
+    run = Inside(tmp_path_factory.mktemp("tiny"))
     run("init", "lab")
     run.archive = run.cwd / "lab"
     run(
@@ -63,7 +77,12 @@ TINY = {
     "version": 1,
     "rig": "r1",
     "camera": {
-        **{"width_px": 64, "height_px": 48, "fx_px": 300.0, "fy_px": 300.0, "cx_px": 32.0, "cy_px": 24.0},
+        "width_px": 64,
+        "height_px": 48,
+        "fx_px": 300.0,
+        "fy_px": 300.0,
+        "cx_px": 32.0,
+        "cy_px": 24.0,
         "distortion": [-0.1, 0.0, 0.0, 0.0, 0.0],
     },
     "lasers": [{"laser": 0, "normal": [0.6, 0.0, 0.8], "distance_mm": 150.0}],

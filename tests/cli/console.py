@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import subprocess
@@ -12,6 +14,8 @@ from typing import Any
 
 import cv2
 import numpy as np
+
+from turnscan.cli.main import main
 
 SCRIPT = Path(sys.executable).with_name("turnscan")
 
@@ -54,13 +58,36 @@ class Console:
         return json.loads(self(*words, "--json", **where).stdout)
 
     def fails(self, *words: object, code: int = 1, hint: bool = True, **where: Any) -> str:
-        """The error text of a command that must fail as commands do: one error, a way out, no traceback."""
+        """What a failing command says: exactly one error, a way out, no traceback."""
         done = self.run(*words, **where)
         assert done.returncode == code, (done.args, done.returncode, done.stdout, done.stderr)
         assert done.stderr.count("error: ") == 1, done.stderr
         assert ("\nhint: " in done.stderr) is hint, done.stderr
         assert "Traceback" not in done.stderr, done.stderr
         return done.stderr
+
+
+class Inside(Console):
+    """The same entry point called in this process, for the many cases that need no process each."""
+
+    def run(
+        self, *words: object, env: Mapping[str, str] | None = None, cwd: Path | None = None
+    ) -> subprocess.CompletedProcess[str]:
+        assert env is None, "another environment needs another process"
+        command = self.command(*words)
+        out, err, code = io.StringIO(), io.StringIO(), 0
+        # An error that main() does not expect comes out here as itself, and the test fails with it.
+        with (
+            contextlib.chdir(cwd or self.cwd),
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+        ):
+            try:
+                main(command[1:])
+            except SystemExit as stop:
+                assert isinstance(stop.code, int)
+                code = stop.code
+        return subprocess.CompletedProcess(command, code, out.getvalue(), err.getvalue())
 
 
 def surroundings(more: Mapping[str, str] | None = None) -> dict[str, str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
-from console import Console, every_file, write_json
+from console import Console, Inside, every_file, write_json
 from real import SRV, check_srv, measure
 
 IMPORT = ("--rig", "srv", "--label", "figure", "--tag", "object=figure")
@@ -83,6 +83,7 @@ def test_query_export_status_and_scan_say_the_same(walk: Console, tmp_path: Path
 
 def test_a_moved_laser_plane_redoes_the_points_alone(copied: Console) -> None:
     assert copied.archive is not None
+    inside = Inside(copied.cwd, copied.archive)
     stripes = every_file(copied.archive / "derived" / "stripes")
     assert len(stripes) == 2
     lasers = [{"laser": 0, "normal": SRV.lasers[0].normal, "distance_mm": 166.3}]
@@ -94,24 +95,24 @@ def test_a_moved_laser_plane_redoes_the_points_alone(copied: Console) -> None:
     (stale,) = copied.json("status")
     assert stale["table"] == "points"
     assert stale["why"].startswith("plane/0 changed from ")
-    assert copied.run("status", "--check").returncode == 1
-    planned = copied("process", "--dry-run")
+    assert inside.run("status", "--check").returncode == 1
+    planned = inside("process", "--dry-run")
     assert "would derive 1 of 2 tables" in planned.stderr
     assert "plane/0 changed" in planned.stdout
     assert every_file(copied.archive / "derived" / "stripes") == stripes
     # The plan was no deed, and the old points are found where they are asked for.
-    (old,) = copied.json("process", "--calibration", "recorded")
+    (old,) = inside.json("process", "--calibration", "recorded")
     assert old["did"] == "nothing"
 
     (did,) = copied.json("process")
     assert did["did"] == "derived points"
     assert did["why"] == stale["why"]
     assert every_file(copied.archive / "derived" / "stripes") == stripes
-    rows = copied.json("query", "SELECT calibration, count(*) AS n FROM points GROUP BY calibration")
+    rows = inside.json("query", "SELECT calibration, count(*) AS n FROM points GROUP BY calibration")
     assert {r["calibration"] for r in rows} == {added, SRV.calibration_id()}
     # 0.26 mm of plane distance is seen in the cloud; the recorded one still measures right.
-    copied("export", "latest", "new.parquet")
-    copied("export", "latest", "old.parquet", "--calibration", "recorded")
+    inside("export", "latest", "new.parquet")
+    inside("export", "latest", "old.parquet", "--calibration", "recorded")
     new, old_table = (pl.read_parquet(copied.cwd / f"{n}.parquet") for n in ("new", "old"))
     check_table(old_table)
     shift = abs(float(new["range_mm"].mean()) - float(old_table["range_mm"].mean()))  # type: ignore[arg-type]
@@ -119,12 +120,12 @@ def test_a_moved_laser_plane_redoes_the_points_alone(copied: Console) -> None:
 
 
 def test_a_calibration_that_comes_later(test_data: Path, srv_files: Path, tmp_path: Path) -> None:
-    run = Console(tmp_path)
+    run = Inside(tmp_path)
     run("init", "lab")
     run.archive = tmp_path / "lab"
     photos = sorted((test_data / "srv_turntable" / "scan").glob("step_num1??.jpg"))[:4]
     run("import", "images", *photos, "--step-deg", "4.5", "--rig", "bench")
-    said = run.fails("process")
+    said = Console(tmp_path, run.archive).fails("process")
     assert "no calibration" in said
     assert "calibration" in said.split("hint: ")[1]
     assert not list((run.archive / "derived").rglob("*.parquet"))
