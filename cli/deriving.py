@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..schemas.errors import CalibrationError, UsageError
-from .output import Format, FormatOption, JsonOption, chosen, current_session, emit
+from .output import Format, FormatOption, JsonOption, chosen, counted, current_session, emit
 from .places import (
     CalibrationOption,
     WhereOption,
@@ -101,7 +101,7 @@ def _report(outcomes: list[Outcome], style: Format) -> None:
     failed = [o for o in outcomes if o.error]
     derived = [o for o in outcomes if o.derived]
     if not failed and not derived:
-        session.say(f"nothing to do: {len(outcomes)} scans are up to date")
+        session.say(f"nothing to do: {counted(len(outcomes), 'scan')} up to date")
         rows = rows if style is not Format.table else []
     if rows or style is not Format.table:
         emit(rows, ["scan", "did", "points", "frames", "seconds", "why"], style)
@@ -151,9 +151,9 @@ def status(
     rows = _stale_rows(archive, picked, chosen_recipe(archive, recipe), calibration)
     stale = [r for r in rows if r["stale"]]
     current_session().say(
-        f"{len(stale)} tables of {len({r['scan'] for r in stale})} scans are stale"
+        f"stale: {counted(len(stale), 'table')} of {counted(len({r['scan'] for r in stale}), 'scan')}"
         if stale
-        else f"{len(picked)} scans are up to date"
+        else f"{counted(len(picked), 'scan')} up to date"
     )
     shown = rows if show_all else stale
     chosen_style = chosen(style, as_json)

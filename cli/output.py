@@ -184,6 +184,11 @@ def _finite(value: Any) -> Any:
     return value
 
 
+def counted(number: int, noun: str) -> str:
+    """``number`` and ``noun`` with an s where it wants one."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
 def _flat(value: Any) -> Any:
     if isinstance(value, (dict, list, tuple)):
         return json.dumps(value, ensure_ascii=False, default=str)

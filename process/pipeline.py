@@ -26,6 +26,7 @@ from ..store.plan import Plan, stage_records
 from .batches import columns_of, record_batches
 from .pairing import pair_frames
 from .stages import FrameChain, PointChain, check_size
+from .workers import in_processes
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -73,12 +74,14 @@ def derive(
 
     plans = archive.plan(scans, recipe, calibration)
     if workers > 1 and len(scans) > 1:
-        yield from _derive_in_processes(archive, list(plans), scans, workers, advance)
-        return
-    for scan, plan in zip(scans, plans, strict=True):
-        yield _one(archive, scan, plan, step)
+        jobs = [(archive.root, s, p) for s, p in zip(scans, plans, strict=True)]
+        outcomes = in_processes(min(workers, len(jobs)), _in_worker, jobs)
+    else:
+        outcomes = (_one(archive, s, p, step) for s, p in zip(scans, plans, strict=True))
+    for scan, outcome in zip(scans, outcomes, strict=True):
         done += scan.frames
         step(0)
+        yield outcome
 
 
 def _one(
@@ -93,43 +96,6 @@ def _one(
         return derive_scan(archive, plan, step)
     except TurnscanError as error:
         return Outcome(scan.scan, error=error)
-
-
-def _derive_in_processes(
-    archive: Archive,
-    plans: list[Plan | CalibrationError],
-    scans: Sequence[ScanSummary],
-    workers: int,
-    advance: Advance | None,
-) -> Iterator[Outcome]:
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
-    from concurrent.futures.process import BrokenProcessPool
-
-    # Spawned, not forked: polars, pyarrow and OpenCV have threads that a fork would leave in pieces.
-    context = multiprocessing.get_context("spawn")
-    total, done = sum(s.frames for s in scans), 0
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_single_threaded) as pool:
-        tasks = [pool.submit(_in_worker, archive.root, s, p) for s, p in zip(scans, plans, strict=True)]
-        for scan, task in zip(scans, tasks, strict=True):
-            try:
-                yield task.result()
-            except BrokenProcessPool as error:
-                raise InputError(
-                    "a worker process was killed",
-                    hint="run the command again (with fewer --workers if memory was short); what "
-                    "was published stands, and nothing half-done was",
-                ) from error
-            done += scan.frames
-            if advance is not None:
-                advance(done, total)
-
-
-def _single_threaded() -> None:
-    import cv2
-
-    # One process a core: threads inside them would only get in each other's way.
-    cv2.setNumThreads(1)
 
 
 def _in_worker(root: Path, scan: ScanSummary, plan: Plan | CalibrationError) -> Outcome:

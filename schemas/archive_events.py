@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
-from .document import Model, check_version, parse_json
+from .document import Sealed, check_version, parse_json
 from .errors import DocumentError
 from .events import Nanoseconds, Tags
 
@@ -18,7 +18,7 @@ FORMAT: Final = "turnscan.event"
 VERSION: Final = 1
 
 
-class ArchiveEvent(Model):
+class ArchiveEvent(Sealed):
     """What all archive events share: id (ULID), time, author's remark, the event it follows."""
 
     format: Literal["turnscan.event"] = FORMAT

@@ -9,11 +9,12 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from .errors import DocumentError, FormatVersionError
+from .canonical import digest
+from .errors import DamageError, DocumentError, FormatVersionError
 
 
 class Model(BaseModel):
@@ -24,6 +25,30 @@ class Model(BaseModel):
     def plain(self) -> dict[str, Any]:
         """The JSON form, with fields that are None left out."""
         return self.model_dump(mode="json", exclude_none=True)
+
+
+class Sealed(Model):
+    """A document that carries the digest of the rest of itself, so that no change goes unseen."""
+
+    sha256_of_rest: str | None = None
+
+    def rest_sha256(self) -> str:
+        """Digest of every field but ``sha256_of_rest``."""
+        rest = {k: v for k, v in self.plain().items() if k != "sha256_of_rest"}
+        return digest(f"sealed/{type(self).__name__}", rest)
+
+    def sealed(self) -> Self:
+        """The same document with its digest."""
+        return self.model_copy(update={"sha256_of_rest": self.rest_sha256()})
+
+    def check_sealed(self, *, where: str) -> Self:
+        """The document itself, or a DamageError if a field differs from what was sealed."""
+        if self.sha256_of_rest != self.rest_sha256():
+            raise DamageError(
+                f"{where}: its content differs from its own digest: the file was changed",
+                hint="restore it from a copy; nothing in an archive is edited by hand",
+            )
+        return self
 
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from .document import Model
+from .document import Model, Sealed
 from .events import Ended, Nanoseconds, Tags
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -61,7 +61,7 @@ class ScanSummary(Model):
     salvaged_from: str | None = None
 
 
-class DerivationManifest(Model):
+class DerivationManifest(Sealed):
     """k-<key12>.json: written last, and so the mark that the table beside it is complete."""
 
     format: Literal["turnscan.derivation"] = "turnscan.derivation"

@@ -120,7 +120,7 @@ class Recipe(Model):
     version: Literal[1] = VERSION
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9._-]{0,39}$")]
     note: str = ""
-    stages: Annotated[tuple[Stage, ...], Field(min_length=2)]
+    stages: tuple[Stage, ...]
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -161,7 +161,7 @@ class Archive:
         # Clocks step back; an event of this archive still comes after those it can see.
         while newest is not None and name <= newest:
             name = _ulid_after(newest)
-        event = kind(id=name, t_ns=t_ns, **fields)
+        event = kind(id=name, t_ns=t_ns, **fields).sealed()
         self.store.put_if_absent(layout.event_file(name), dump_json(event.plain()))
         with self.catalog.writing() as c:
             put(c, "events", event_row(event))
@@ -262,7 +262,7 @@ class Archive:
             except CalibrationError as error:
                 yield error
                 continue
-            found = self._found((keys.stripes, keys.points))
+            found = self._found(scan.scan, (keys.stripes, keys.points))
             yield Plan(
                 scan=scan,
                 recipe=recipe,
@@ -276,10 +276,11 @@ class Archive:
                 points=found.get(keys.points),
             )
 
-    def _found(self, keys: Sequence[str]) -> dict[str, DerivationManifest]:
+    def _found(self, scan: str, keys: Sequence[str]) -> dict[str, DerivationManifest]:
         marks = ", ".join("?" * len(keys))
         rows = self.catalog.rows(
-            f"SELECT key, path, bytes, document FROM derivations WHERE key IN ({marks})", keys
+            f"SELECT key, path, bytes, document FROM derivations WHERE scan = ? AND key IN ({marks})",
+            (scan, *keys),
         )
         # A table that somebody deleted to win room is simply derived again.
         return {

@@ -38,10 +38,11 @@ CREATE TABLE calibration_parts (
 CREATE TABLE events (
     event TEXT PRIMARY KEY, kind TEXT NOT NULL, t_ns INTEGER NOT NULL, document TEXT NOT NULL);
 CREATE TABLE derivations (
-    key TEXT PRIMARY KEY, kind TEXT NOT NULL, scan TEXT NOT NULL, recipe TEXT NOT NULL,
+    key TEXT NOT NULL, kind TEXT NOT NULL, scan TEXT NOT NULL, recipe TEXT NOT NULL,
     recipe_name TEXT NOT NULL, calibration TEXT, rows INTEGER NOT NULL, bytes INTEGER NOT NULL,
     sha256 TEXT NOT NULL, path TEXT NOT NULL, frames INTEGER NOT NULL,
-    frames_without_stripe INTEGER NOT NULL, created_ns INTEGER NOT NULL, document TEXT NOT NULL);
+    frames_without_stripe INTEGER NOT NULL, created_ns INTEGER NOT NULL, document TEXT NOT NULL,
+    PRIMARY KEY (key, scan));
 CREATE INDEX derivations_by_scan ON derivations (scan, kind);
 """
 TABLE_NAMES = ("scans", "calibrations", "calibration_parts", "events", "derivations")
@@ -104,7 +105,7 @@ class Catalog:
 
     def dump(self) -> dict[str, list[Row]]:
         """The whole content, ordered, for comparison."""
-        return {name: self.rows(f"SELECT * FROM {name} ORDER BY 1, 2") for name in TABLE_NAMES}
+        return {name: self.rows(f"SELECT * FROM {name} ORDER BY 1, 2, 3") for name in TABLE_NAMES}
 
 
 def create_tables(c: sqlite3.Connection) -> None:

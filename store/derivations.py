@@ -154,7 +154,7 @@ def publish(
             created_ns=time.time_ns(),
             duration_s=round(time.monotonic() - began, 3),
             made_with=made_with(),
-        )
+        ).sealed()
         if not store.put_if_absent(table_path, aside):
             if store.head(manifest_path) is not None:
                 return read_manifest(store, manifest_path)

@@ -50,7 +50,7 @@ def read_event(store: LocalFolder, event: str) -> AnyArchiveEvent:
     parsed = parse_archive_event(store.get(path), where=where)
     if parsed.id != event:
         raise DamageError(f"{where}: says event {parsed.id}")
-    return parsed
+    return parsed.check_sealed(where=where)
 
 
 def read_manifest(store: LocalFolder, path: str) -> DerivationManifest:
@@ -61,7 +61,7 @@ def read_manifest(store: LocalFolder, path: str) -> DerivationManifest:
     manifest = validate(DerivationManifest, value, where=where)
     if manifest.path != path.removesuffix(".json") + ".parquet":
         raise DamageError(f"{where}: says its table is {manifest.path}")
-    return manifest
+    return manifest.check_sealed(where=where)
 
 
 def sealed_scans(store: LocalFolder) -> list[str]:

@@ -40,6 +40,6 @@ def test_nothing_to_do_for_a_hundred_scans_takes_no_second(hundred: Console) -> 
     end = resource.getrusage(resource.RUSAGE_CHILDREN)
     seconds = end.ru_utime + end.ru_stime - begin.ru_utime - begin.ru_stime
     print(f"second process of {SCANS} scans: {seconds:.2f} s CPU, target 1")
-    assert done.stderr == f"nothing to do: {SCANS} scans are up to date\n"
+    assert done.stderr == f"nothing to do: {SCANS} scans up to date\n"
     assert every_file(hundred.archive) == before
     assert seconds < 3

@@ -228,7 +228,7 @@ def test_colours_on_a_terminal_alone_and_not_against_no_color(lab: Inside) -> No
 
 def test_quiet_verbose_log_file_and_debug(lab: Inside) -> None:
     assert lab("-q", "status").stderr == ""
-    assert lab("status").stderr == "1 scans are up to date\n"
+    assert lab("status").stderr == "1 scan up to date\n"
     done = lab("-q", "--log-file", "log.txt", "process", "--recipe", "paper")
     assert done.stderr == ""
     log = (lab.cwd / "log.txt").read_text()

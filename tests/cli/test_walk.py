@@ -59,7 +59,7 @@ def test_second_process_does_nothing_and_touches_no_file(walk: Console) -> None:
     before = every_file(walk.archive)
     done = walk("process")
     assert done.stdout == ""
-    assert done.stderr == "nothing to do: 1 scans are up to date\n"
+    assert done.stderr == "nothing to do: 1 scan up to date\n"
     assert every_file(walk.archive) == before
 
 

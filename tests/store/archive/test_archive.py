@@ -568,3 +568,71 @@ def test_storage_errors_name_the_file(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises((StorageError, ConflictError)):
         Archive.init(tmp_path / "file" / "lab")
+
+
+def test_the_same_content_imported_again_has_points_of_its_own(lab: Archive, source: Path) -> None:
+    first = lab.scan("latest")
+    poses = poses_by_step(sorted(source.glob("*.png")), step_deg=10.0)
+    started = first.started_ns
+    plan = ImportPlan(poses, rig="r1", calibration=calibration(), started_ns=started, again=True)
+    second = import_images(lab, plan)
+    assert second.content_sha256 == first.content_sha256
+    outcomes = list(derive(lab, lab.scans(), BUILT_IN["default"]))
+    assert [o.derived for o in outcomes] == [(), ("stripes", "points")]
+    points = lab.points().collect()
+    assert set(points["scan"]) == {first.scan, second.scan}
+    assert verify(lab) == []
+
+
+def test_a_changed_manifest_or_event_is_noticed_even_if_it_is_still_json(lab: Archive) -> None:
+    lab.tag("latest", {"a": "b"})
+    points = next(m for m in lab.derivations() if m.kind == "points")
+    for path, old, new in (
+        ((lab.root / points.path).with_suffix(".json"), '"frames": 4', '"frames": 3'),
+        (next((lab.root / "events").iterdir()), '"a": "b"', '"a": "c"'),
+    ):
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new))
+        found = verify(lab)
+        assert any(path.name in f.path and "its own digest" in f.what for f in found), found
+        path.write_text(text)
+    assert verify(lab) == []
+
+
+def test_a_killed_worker_is_said_and_results_come_in_order() -> None:
+    from turnscan.process.workers import in_processes
+    from turnscan.schemas.errors import InputError
+
+    with pytest.raises(InputError, match="a worker process was killed"):
+        list(in_processes(2, os._exit, [(3,), (3,)]))
+    assert list(in_processes(2, pow, [(i, 2) for i in range(9)])) == [i * i for i in range(9)]
+
+
+STOPPED = """
+import sys
+from turnscan.process.workers import in_processes
+import time
+print("ready", flush=True)
+list(in_processes(2, time.sleep, [(30,)] * 8))
+"""
+
+
+def test_an_interrupt_ends_all_workers_at_once() -> None:
+    import signal
+    import time
+
+    process = subprocess.Popen(
+        [sys.executable, "-c", STOPPED],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    time.sleep(2.0)
+    os.killpg(process.pid, signal.SIGINT)
+    _, said = process.communicate(timeout=20)
+    assert process.returncode != 0
+    assert said.count("Traceback") <= 1, said

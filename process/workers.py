@@ -1,0 +1,66 @@
+"""Run jobs in several processes and give their results in order; stop at once when told to."""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, TypeVar
+
+from ..schemas.errors import InputError
+
+Result = TypeVar("Result")
+
+
+def in_processes(
+    workers: int, function: Callable[..., Result], jobs: Sequence[tuple[Any, ...]]
+) -> Iterator[Result]:
+    """``function(*job)`` of every job, in the order of ``jobs``, a process each.
+
+    No more jobs than workers are under way, so that an interrupt ends all of them at once.
+
+    Raises
+    ------
+    InputError
+        A worker was killed from outside.
+    """
+    # Spawned, not forked: polars, pyarrow and OpenCV have threads that a fork would leave in pieces.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare)
+    pending: dict[Future[Result], int] = {}
+    done: dict[int, Result] = {}
+    begun = given = 0
+    try:
+        while given < len(jobs):
+            while begun < len(jobs) and len(pending) < workers:
+                pending[pool.submit(function, *jobs[begun])] = begun
+                begun += 1
+            finished, _ = wait(pending, return_when=FIRST_COMPLETED)
+            for task in finished:
+                done[pending.pop(task)] = task.result()
+            while given in done:
+                yield done.pop(given)
+                given += 1
+    except BrokenProcessPool as error:
+        raise InputError(
+            "a worker process was killed",
+            hint="run the command again (with fewer --workers if memory was short); what was "
+            "published stands, and nothing half-done was",
+        ) from error
+    except BaseException:
+        # Killing a worker harms nothing: what it has not published it has only staged.
+        for child in multiprocessing.active_children():
+            child.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _prepare() -> None:
+    """In each worker: die quietly of Ctrl-C, and leave the other cores to the other workers."""
+    import cv2
+
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    cv2.setNumThreads(1)
