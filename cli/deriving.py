@@ -37,6 +37,9 @@ def process(
     everything: Annotated[
         bool, typer.Option("--all", help="All scans; what happens anyway when none is named.")
     ] = False,
+    stale: Annotated[
+        bool, typer.Option("--stale", help="Only scans that something is to be derived of.")
+    ] = False,
     where: WhereOption = None,
     recipe: RecipeOption = None,
     calibration: CalibrationOption = "current",
@@ -58,6 +61,13 @@ def process(
     picked = chosen_scans(archive, scans, where)
     made_with = chosen_recipe(archive, recipe)
     session = current_session()
+    if stale:
+        plans = archive.plan(picked, made_with, calibration)
+        picked = [
+            scan
+            for scan, plan in zip(picked, plans, strict=True)
+            if isinstance(plan, CalibrationError) or not plan.done
+        ]
     if not picked:
         session.say("no scan to process")
         emit([], ["scan", "did"], chosen_style)

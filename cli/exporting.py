@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..schemas.errors import NotFoundError, UsageError
+from ..schemas.errors import ConflictError, NotFoundError, UsageError
 from ..schemas.software import SOFTWARE
 from .output import Format, FormatOption, JsonOption, chosen, current_session, emit
 from .places import CalibrationOption, chosen_recipe, chosen_scans, complete_scan, open_archive
@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from ..schemas.manifests import DerivationManifest
     from ..store import Archive
     from ..store.export import ExportInfo
+
+
+#: scan_index is a 16-bit number.
+_MOST_SCANS = 65_535
 
 
 def query(
@@ -58,8 +62,8 @@ def export(
 ) -> None:
     """Write points to a file, by its suffix.
 
-    .ply .csv .parquet .pcd; with extras .las .laz .e57, and .glb .stl .obj (a mesh of the sweep).
-    Lengths are mm; metres in .las, .laz, .e57 and .glb, as those formats want.
+    .ply .csv .parquet .pcd, .png (a picture); with extras .las .laz .e57, and .glb .stl .obj (a mesh
+    of the sweep). Lengths are mm; metres in .las, .laz, .e57 and .glb, as those formats want.
     """
     if len(scans) < 2:
         raise UsageError(
@@ -81,10 +85,16 @@ def export_to(
     overwrite: bool,
 ) -> ExportInfo:
     """Write the points of the named scans to ``out``; returns what the file says of itself."""
-    from ..store.export import ExportInfo, check_format, export_points
+    from ..store.export import ExportInfo, Viewpoint, check_format, export_points
 
-    check_format(out)
+    picture = out.suffix.lower() == ".png"
+    if not picture:
+        check_format(out)
     made = points_of(archive, words, recipe, calibration)
+    if len(made) > _MOST_SCANS:
+        raise UsageError(
+            f"{len(made)} scans do not fit one file", hint=f"export at most {_MOST_SCANS} at a time"
+        )
     info = ExportInfo(
         scans=[m.scan for m in made],
         recipe=f"{made[0].recipe_document.get('name')} ({made[0].recipe})",
@@ -92,10 +102,37 @@ def export_to(
         keys=[m.key for m in made],
         software=SOFTWARE,
         rows=sum(m.rows for m in made),
+        viewpoints=[Viewpoint.of(archive.calibration(str(m.calibration))) for m in made],
     )
+    if picture:
+        _draw(archive, made, out, info, overwrite=overwrite)
+        return info
     with current_session().progress("exporting") as advance:
         export_points(_batches(archive, made, advance), out, info, overwrite=overwrite)
     return info
+
+
+def _draw(
+    archive: Archive,
+    made: list[DerivationManifest],
+    out: Path,
+    info: ExportInfo,
+    *,
+    overwrite: bool,
+) -> None:
+    """A picture instead of points, for those who would look rather than read."""
+    import numpy as np
+
+    from .picture import draw_cloud
+
+    if out.exists() and not overwrite:
+        raise ConflictError(f"{out} exists already", hint="--overwrite replaces it")
+    names = ("x_mm", "y_mm", "z_mm")
+    parts = [
+        [b.column(n).to_numpy() for n in names] for manifest in made for b in archive.read(manifest)
+    ]
+    x, y, z = (np.concatenate([p[i] for p in parts]) if parts else np.zeros(0) for i in range(3))
+    draw_cloud(x, y, z, out, title=f"{', '.join(info.scans)[:60]}, {info.recipe}")
 
 
 def points_of(

@@ -3,22 +3,52 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ...schemas.errors import ConflictError, ExtraMissingError, UsageError
+from ...schemas.errors import (
+    ConflictError,
+    DamageError,
+    ExtraMissingError,
+    NotFoundError,
+    UsageError,
+)
 from ..bytes import fsync_file, fsync_folder, storage_error
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from ...schemas.calibration import Calibration
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """Where the camera of a scan was: its centre in turntable space, which the angle turns about z."""
+
+    centre_mm: tuple[float, float, float]
+    turn_sign: int
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> Viewpoint:
+        """The viewpoint under ``calibration``."""
+        axis = calibration.axis_or_fail()
+        x, y, z = (
+            -sum(a * p for a, p in zip(direction, axis.point_mm, strict=True))
+            for direction in axis.camera_from_turntable()
+        )
+        return cls((x, y, z), axis.turn_sign())
+
 
 @dataclass(frozen=True)
 class ExportInfo:
-    """What an exported file says of itself. ``rows`` is the number of points that will come."""
+    """What an exported file says of itself.
+
+    ``rows`` is the number of points that will come. ``viewpoints``, one a scan, make the triangles of
+    a mesh face the scanner; without them they follow the order of frames.
+    """
 
     scans: Sequence[str]
     recipe: str
@@ -26,6 +56,7 @@ class ExportInfo:
     keys: Sequence[str]
     software: str
     rows: int
+    viewpoints: Sequence[Viewpoint] = ()
 
     def lines(self) -> list[str]:
         """The same in words, a line each, for headers and comments."""
@@ -104,18 +135,26 @@ def export_points(
     Raises
     ------
     ConflictError
-        ``out`` exists and ``overwrite`` is False.
+        ``out`` exists and ``overwrite`` is False, or it is a folder.
+    NotFoundError
+        The folder of ``out`` does not exist.
+    DamageError
+        Not ``info.rows`` points came.
     StorageError
         The file system refuses; nothing is left behind.
     """
     suffix = check_format(out)
+    if out.is_dir():
+        raise ConflictError(f"{out} is a folder", hint="give the name of a file")
     if out.exists() and not overwrite:
         raise ConflictError(f"{out} exists already", hint="--overwrite replaces it")
+    if not out.parent.is_dir():
+        raise NotFoundError(f"{out.parent}: no such folder", hint=f"mkdir -p {out.parent}")
     module: Any = import_module(f".{_FORMATS[suffix].module}", __name__)
     write: Writer = module.write
     aside = out.with_name(f".{out.stem}-{uuid.uuid4().hex[:8]}{suffix}")
     try:
-        write(batches, aside, info, suffix)
+        write(_counted(batches, info.rows, out), aside, info, suffix)
         fsync_file(aside)
         aside.replace(out)
         fsync_folder(out.absolute().parent)
@@ -123,3 +162,16 @@ def export_points(
         raise storage_error(error, out) from error
     finally:
         aside.unlink(missing_ok=True)
+
+
+def _counted(batches: Iterable[pa.RecordBatch], rows: int, out: Path) -> Iterator[pa.RecordBatch]:
+    """``batches``, which must add up to the ``rows`` that headers have announced."""
+    seen = 0
+    for batch in batches:
+        seen += batch.num_rows
+        yield batch
+    if seen != rows:
+        raise DamageError(
+            f"{out}: the tables hold {seen} points, their manifests say {rows}",
+            hint="turnscan verify lists what is damaged",
+        )

@@ -16,7 +16,16 @@ def write(batches: Iterable[pa.RecordBatch], out: Path, info: ExportInfo, suffix
     """Stream ``batches`` to ``out``; ``scan`` is the scan's id."""
     schema = pa.schema([pa.field("scan", pa.string(), nullable=False), *POINTS.arrow_schema()])
     schema = schema.with_metadata({"turnscan.export": "; ".join(info.lines())})
-    with pq.ParquetWriter(out, schema, compression="zstd", write_page_checksum=True) as writer:
+    floats = [c.name for c in POINTS.columns if c.type.startswith("float")]
+    with pq.ParquetWriter(
+        out,
+        schema,
+        compression="zstd",
+        compression_level=1,
+        use_dictionary=[name for name in schema.names if name not in floats],
+        column_encoding=dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
+        write_page_checksum=True,
+    ) as writer:
         for batch in batches:
             scans = pa.array(info.scans, pa.string()).take(batch.column("scan_index"))
             columns = [scans, *(batch.column(c.name) for c in POINTS.columns)]

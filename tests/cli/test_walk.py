@@ -134,3 +134,26 @@ def test_a_calibration_that_comes_later(test_data: Path, srv_files: Path, tmp_pa
     assert did["did"] == "derived stripes and points"
     (listed,) = run.json("calibration", "list")
     assert listed["certified"].startswith("bench ")
+
+
+def test_a_picture_and_a_mesh_of_the_scan(walk: Console, tmp_path: Path) -> None:
+    import cv2
+    import trimesh
+
+    walk("export", "latest", tmp_path / "figure.png")
+    picture = cv2.imread(str(tmp_path / "figure.png"))
+    assert picture is not None
+    assert (picture < 250).mean() > 0.01
+    assert "exists already" in walk.fails("export", "latest", tmp_path / "figure.png")
+    walk("export", "latest", tmp_path / "figure.stl")
+    mesh = trimesh.load(tmp_path / "figure.stl")
+    # The disc faces the camera, so its triangles look up.
+    flat = (abs(mesh.triangles_center[:, 2]) < 2) & (abs(mesh.triangles_center[:, :2]) < 90).all(axis=1)
+    assert flat.sum() > 500
+    assert (mesh.face_normals[flat, 2] > 0).mean() > 0.95
+
+
+def test_stale_picks_what_is_to_be_derived(copied: Console) -> None:
+    assert copied("process", "--stale").stderr == "no scan to process\n"
+    (did,) = copied.json("process", "--stale", "--recipe", "paper")
+    assert did["did"] == "derived stripes and points"
