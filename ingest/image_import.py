@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -86,7 +87,10 @@ def _start_time(plan: ImportPlan) -> tuple[int, str]:
         return plan.poses[0].t_ns, "csv"
     if plan.started_ns is not None:
         return plan.started_ns, "given, frames a nominal second apart"
-    oldest = min(p.path.stat().st_mtime_ns for p in plan.poses)
+    try:
+        oldest = min(p.path.stat().st_mtime_ns for p in plan.poses)
+    except OSError as error:
+        raise InputError(f"{error.filename}: cannot be read ({error.strerror})") from error
     return max(oldest, 0), "oldest file, frames a nominal second apart"
 
 
@@ -138,10 +142,15 @@ def _write_frames(
         if pose.angle_deg != angle:
             angle = pose.angle_deg
             writer.write_event(TurntableAngle(t_ns=t_ns, commanded_rad=math.radians(angle)))
-        exposure = Exposure(t_ns=t_ns, frame=frame, lasers_on=pose.lasers_on, file=pose.path.name)
+        exposure = Exposure(t_ns=t_ns, frame=frame, lasers_on=pose.lasers_on, file=_shown(pose.path))
         writer.write_image(exposure, data=image.data, encoding=image.encoding)
         if advance is not None:
             advance(frame + 1, len(timed))
+
+
+def _shown(path: Path) -> str:
+    """The file's name; bytes in it that are no UTF-8, which JSON cannot hold, as escapes."""
+    return os.fsencode(path.name).decode("utf-8", "backslashreplace")
 
 
 def _check_calibration(image: ImageFile, calibration: Calibration | None) -> None:

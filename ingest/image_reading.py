@@ -1,12 +1,13 @@
 """Read one image file whole and be sure that it is: decoders forgive what an archive must not.
 
-OpenCV fills the missing part of a truncated JPEG with grey and says nothing, so the end of every file
-is looked at, and its pixels are decoded once.
+libjpeg fills what is missing of a JPEG with grey and only warns, so every file is walked to its end
+first, and then its pixels are decoded once.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,11 @@ from ..schemas.errors import DamageError, InputError
 from ..store.log_reader import decode_image_file
 from .image_sources import FORMATS
 
+Size = tuple[int, int]
+
+# Twice the largest sensor there is. A few bytes may claim any size, and decoding would believe them.
+_LARGEST_PX = 1 << 29
+_RESAVE = "save it as a PNG or TIFF of 8 or 16 bit, grey or colour"
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -38,29 +44,34 @@ class ImageFile:
 
 
 def read_image(path: Path) -> ImageFile:
-    """The image in ``path``, decoded once to be sure of it.
+    """The image in ``path``, decoded once to be sure of it. Its content says what format it has.
 
     Raises
     ------
     InputError
-        The file cannot be read, is cut off, is another format than its name says, has several pages,
-        or holds pixels that are neither 8 nor 16 bit.
+        The file cannot be read, is no image, is cut off, claims an absurd size, has several pages, or
+        holds pixels that are neither 8 nor 16 bit.
     """
     try:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    encoding = FORMATS[path.suffix.lower()]
     found = _sniff(data)
     if found is None:
-        raise InputError(f"{path}: is no {encoding.upper()} image", hint="leave it out, or replace it")
+        what = f"is no {FORMATS[path.suffix.lower()].upper()} image" if data else "is empty"
+        raise InputError(f"{path}: {what}", hint="leave it out, or replace it")
     try:
-        complete = _CHECKS[found](data)
-    except (struct.error, IndexError):
-        complete = False
-    if not complete:
+        size = _SIZES[found](data)
+    except (struct.error, IndexError, KeyError):
+        size = None
+    if size is None:
         raise InputError(
             f"{path}: the image is cut off ({len(data)} bytes)", hint="copy it again from its source"
+        )
+    if size[0] * size[1] > _LARGEST_PX:
+        raise InputError(
+            f"{path}: its head says {size[0]} x {size[1]} pixels, more than {_LARGEST_PX}",
+            hint="leave it out, or replace it",
         )
     if found == "tiff" and _tiff_pages(data) > 1:
         raise InputError(f"{path}: holds several pages", hint="save each page as a file of its own")
@@ -69,11 +80,16 @@ def read_image(path: Path) -> ImageFile:
     except DamageError as error:
         raise InputError(str(error), hint="copy it again from its source, or leave it out") from error
     if pixels.dtype not in ("uint8", "uint16"):
-        raise InputError(f"{path}: pixels are {pixels.dtype}, expected 8 or 16 bit")
+        raise InputError(f"{path}: pixels are {pixels.dtype}, expected 8 or 16 bit", hint=_RESAVE)
     channels = 1 if pixels.ndim == 2 else pixels.shape[2]
     if channels not in (1, 3, 4):
-        raise InputError(f"{path}: has {channels} channels, expected grey or colour")
-    height, width = pixels.shape[:2]
+        raise InputError(f"{path}: has {channels} channels, expected grey or colour", hint=_RESAVE)
+    width, height = pixels.shape[1], pixels.shape[0]
+    if (width, height) != size:
+        raise InputError(
+            f"{path}: its head says {size[0]} x {size[1]} pixels, decoding gives {width} x {height}",
+            hint="copy it again from its source, or leave it out",
+        )
     return ImageFile(path, data, found, width, height, channels, str(pixels.dtype))
 
 
@@ -89,21 +105,25 @@ def _sniff(data: bytes) -> str | None:
     return None
 
 
-def _jpeg_complete(data: bytes) -> bool:
+def _jpeg_size(data: bytes) -> Size | None:
     """The end-of-image marker closes the scan data; some cameras append more after it."""
     at = 2
+    size: Size | None = None
     while True:
         if data[at] != 0xFF:
-            return False
+            return None
         marker = data[at + 1]
         if marker == 0xFF:
             at += 1
             continue
         if marker == 0xD9:
-            return True
+            break
         if marker == 0x01 or 0xD0 <= marker <= 0xD7:
             at += 2
             continue
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            height, width = struct.unpack_from(">HH", data, at + 5)
+            size = (width, height)
         (length,) = struct.unpack_from(">H", data, at + 2)
         at += 2 + length
         if marker == 0xDA:
@@ -111,35 +131,45 @@ def _jpeg_complete(data: bytes) -> bool:
             while True:
                 at = data.find(b"\xff", at)
                 if at < 0:
-                    return False
+                    return None
                 if data[at + 1] == 0 or 0xD0 <= data[at + 1] <= 0xD7:
                     at += 2
                 else:
                     break
+    # A block of 64 pixels takes a bit at least (16 x 16 where colour is coarser): less is not all.
+    if size is None or size[0] * size[1] > len(data) * 8 * 256:
+        return None
+    return size
 
 
-def _png_complete(data: bytes) -> bool:
+def _png_size(data: bytes) -> Size | None:
     """Chunks follow one another up to IEND."""
     at = len(_PNG)
     while at + 12 <= len(data):
         (length,) = struct.unpack_from(">I", data, at)
         if data[at + 4 : at + 8] == b"IEND":
-            return True
+            width, height = struct.unpack_from(">II", data, len(_PNG) + 8)
+            return width, height
         at += 12 + length
-    return False
+    return None
 
 
-def _bmp_complete(data: bytes) -> bool:
-    """The head's file size, or the pixels that it promises, are there."""
-    offset, _, width, height = struct.unpack_from("<IIii", data, 10)
-    bits, compression = struct.unpack_from("<HI", data, 28)
-    if compression not in (0, 3):
-        return len(data) >= struct.unpack_from("<I", data, 2)[0]
+def _bmp_size(data: bytes) -> Size | None:
+    """The pixels that the head promises, or its file size where they are packed, are there."""
+    file_bytes, _, offset, head_bytes = struct.unpack_from("<IIII", data, 2)
+    if head_bytes == 12:
+        width, height, _, bits = struct.unpack_from("<HHHH", data, 18)
+        compression = 0
+    else:
+        width, height, _, bits, compression = struct.unpack_from("<iiHHI", data, 18)
     stride = (width * bits + 31) // 32 * 4
-    return len(data) >= offset + stride * abs(height)
+    needed = offset + stride * abs(height) if compression in (0, 3) else file_bytes
+    # Rows stand from the bottom up; a height below zero turns them over.
+    return (width, abs(height)) if len(data) >= needed else None
 
 
 _TIFF_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8}
+_WIDTH, _HEIGHT = 256, 257
 _STRIP_OFFSETS, _STRIP_BYTES, _TILE_OFFSETS, _TILE_BYTES = 273, 279, 324, 325
 
 
@@ -167,14 +197,15 @@ def _tiff_first(data: bytes) -> int:
     return int(at)
 
 
-def _tiff_complete(data: bytes) -> bool:
+def _tiff_size(data: bytes) -> Size | None:
     """Every strip or tile that the first directory names lies inside the file."""
     tags, _ = _tiff_directory(data, _tiff_first(data))
     for offsets, sizes in ((_STRIP_OFFSETS, _STRIP_BYTES), (_TILE_OFFSETS, _TILE_BYTES)):
         if offsets in tags:
             ends = [a + b for a, b in zip(tags[offsets], tags.get(sizes, []), strict=False)]
-            return bool(ends) and max(ends) <= len(data)
-    return False
+            if ends and max(ends) <= len(data):
+                return tags[_WIDTH][0], tags[_HEIGHT][0]
+    return None
 
 
 def _tiff_pages(data: bytes) -> int:
@@ -182,9 +213,10 @@ def _tiff_pages(data: bytes) -> int:
     return 2 if following else 1
 
 
-_CHECKS = {
-    "jpeg": _jpeg_complete,
-    "png": _png_complete,
-    "bmp": _bmp_complete,
-    "tiff": _tiff_complete,
+# The size in the head of a file that is whole, else None.
+_SIZES: dict[str, Callable[[bytes], Size | None]] = {
+    "jpeg": _jpeg_size,
+    "png": _png_size,
+    "bmp": _bmp_size,
+    "tiff": _tiff_size,
 }

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import Any
 
 from ..schemas.errors import InputError
 
@@ -47,7 +48,7 @@ def poses_by_step(
     if not (math.isfinite(step_deg) and math.isfinite(start_deg)):
         raise InputError(f"--step-deg {step_deg} and --start-deg {start_deg} must be finite")
     dark = [p for p in images if background is not None and fnmatch(p.name, background)]
-    lit = [p for p in images if p not in set(dark)]
+    lit = [p for p in images if background is None or not fnmatch(p.name, background)]
     if background is not None and len(dark) not in (1, len(lit)):
         raise InputError(
             f"{len(dark)} laser-off frames fit {background!r}, beside {len(lit)} lit ones",
@@ -98,12 +99,9 @@ def poses_from_csv(images: Sequence[Path], table: Path) -> list[Pose]:
     if any(timed) and not all(timed):
         line = rows[timed.index(False)][0]
         raise InputError(f"{table}, line {line}: t_ns is empty, but other rows have it")
-    if all(timed):
-        out.sort(key=lambda p: p.t_ns or 0)
-    else:
-        # A CSV made by `ls` has frame10 before frame2: the images' own order is what people mean.
-        place = {path: i for i, path in enumerate(images)}
-        out.sort(key=lambda p: place[p.path])
+    # A CSV made by `ls` has frame10 before frame2: the images' own order is what people mean.
+    place = {path: i for i, path in enumerate(images)}
+    out.sort(key=lambda p: (p.t_ns or 0, place[p.path]))
     if not any(p.lasers_on for p in out):
         raise InputError(f"{table}: every frame is a laser-off frame")
     return out
@@ -124,15 +122,14 @@ def _read_rows(table: Path) -> list[tuple[int, dict[str, str]]]:
             reader.fieldnames = header
             unknown = [n for n in header if n not in _COLUMNS]
             lacking = [n for n in ("file", "angle_deg") if n not in header]
-            if unknown or lacking:
+            if unknown or lacking or len(set(header)) < len(header):
                 raise InputError(
-                    f"{table}: columns are {header}, expected file, angle_deg and optionally t_ns, "
-                    "laser, laser_on",
+                    f"{table}, line 1: columns are {header}, expected file, angle_deg and, "
+                    "optionally, t_ns, laser, laser_on; each once",
                     hint="the first line of the CSV names its columns",
                 )
             rows = [
-                (reader.line_num, {k: (v or "").strip() for k, v in row.items() if k is not None})
-                for row in reader
+                (reader.line_num, _stripped(row, f"{table}, line {reader.line_num}")) for row in reader
             ]
     except OSError as error:
         raise InputError(f"{table}: cannot be read ({error.strerror})") from error
@@ -141,6 +138,15 @@ def _read_rows(table: Path) -> list[tuple[int, dict[str, str]]]:
     if not rows:
         raise InputError(f"{table}: has no rows")
     return rows
+
+
+def _stripped(row: dict[str | None, Any], where: str) -> dict[str, str]:
+    """The cells of a row; the reader puts those beyond the last column under None."""
+    if None in row:
+        raise InputError(
+            f"{where}: more cells than columns", hint="write decimals with a point: 12.5, not 12,5"
+        )
+    return {str(k): (v or "").strip() for k, v in row.items()}
 
 
 def _image_of(name: str, names: dict[str, list[Path]], *, where: str) -> Path:
@@ -175,6 +181,6 @@ def _lasers(row: dict[str, str], where: str) -> tuple[int, ...]:
     if on in _NO:
         return ()
     parts = (row.get("laser") or "0").split(";")
-    if not all(p.strip().isdigit() and int(p) < 256 for p in parts):
+    if not all(p.isascii() and p.strip().isdigit() and int(p) < 256 for p in parts):
         raise InputError(f"{where}: laser is {row['laser']!r}, expected a number from 0 to 255, or 0;1")
     return tuple(sorted({int(p) for p in parts}))

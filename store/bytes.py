@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import os
 import uuid
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from typing import Protocol
 from ..schemas.errors import DamageError, StorageError
 
 STAGING = "staging"
+PUBLISHING = "publishing.lock"
 
 
 class ByteStore(Protocol):
@@ -115,6 +117,25 @@ class LocalFolder:
         finally:
             with contextlib.suppress(OSError):
                 path.unlink(missing_ok=True)
+
+    @contextmanager
+    def holding(self, *, alone: bool) -> Iterator[None]:
+        """Between the two steps of a publication (table, then manifest) nobody may tidy up.
+
+        Publishers hold the lock together, whoever moves debris holds it ``alone``. The kernel lets go
+        of it when a process ends, however it ends.
+        """
+        folder = self.root / STAGING
+        try:
+            folder.mkdir(exist_ok=True)
+            handle = os.open(folder / PUBLISHING, os.O_CREAT | os.O_RDWR, 0o644)
+        except OSError as error:
+            raise storage_error(error, folder / PUBLISHING) from error
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+            yield
+        finally:
+            os.close(handle)
 
     def put_if_absent(self, path: str, source: bytes | Path) -> bool:
         """See :class:`ByteStore`."""

@@ -155,16 +155,24 @@ def publish(
             duration_s=round(time.monotonic() - began, 3),
             made_with=made_with(),
         ).sealed()
-        if not store.put_if_absent(table_path, aside):
-            if store.head(manifest_path) is not None:
-                return read_manifest(store, manifest_path)
-            # Either another process is between its two steps, or one was killed there. Equal bytes
-            # make our manifest true of the table that lies there.
-            if file_sha256(store.local(table_path)) != sha256:
-                raise DamageError(
-                    f"{store.local(table_path)}: a table without manifest is in the way",
-                    hint="turnscan repair moves it aside; then run the command again",
-                )
+        with store.holding(alone=False):
+            return _put(store, manifest, manifest_path, aside)
+
+
+def _put(
+    store: LocalFolder, manifest: DerivationManifest, manifest_path: str, aside: Path
+) -> DerivationManifest:
+    """The table, then its manifest; returns the manifest that stands."""
+    if not store.put_if_absent(manifest.path, aside):
+        if store.head(manifest_path) is not None:
+            return read_manifest(store, manifest_path)
+        # Either another process is between its two steps, or one was killed there. Equal bytes
+        # make our manifest true of the table that lies there.
+        if file_sha256(store.local(manifest.path)) != manifest.sha256:
+            raise DamageError(
+                f"{store.local(manifest.path)}: a table without manifest is in the way",
+                hint="turnscan repair moves it aside; then run the command again",
+            )
     if not store.put_if_absent(manifest_path, dump_json(manifest.plain())):
         return read_manifest(store, manifest_path)
     return manifest

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from ..schemas.errors import ConflictError, TurnscanError
 from . import layout
-from .bytes import STAGING, LocalFolder
+from .bytes import PUBLISHING, STAGING, LocalFolder
 from .drafts import DraftLock
 from .projection import manifests_of_derivations, read_manifest
 from .salvage import salvage_log
@@ -38,7 +38,8 @@ def repair(archive: Archive, *, dry_run: bool = False) -> list[Repair]:
     Sealed scans, calibrations and events are never touched: damage there needs a copy.
     """
     done = _salvage_parts(archive, dry_run=dry_run)
-    done += _move_aside(archive.store, dry_run=dry_run)
+    with archive.store.holding(alone=True):
+        done += _move_aside(archive.store, dry_run=dry_run)
     done += _clear_staging(archive.store, dry_run=dry_run)
     if not dry_run:
         archive.rebuild_catalog()
@@ -120,6 +121,8 @@ def _move_aside(store: LocalFolder, *, dry_run: bool) -> list[Repair]:
 def _clear_staging(store: LocalFolder, *, dry_run: bool) -> list[Repair]:
     out = []
     for name in store.list(STAGING):
+        if name == PUBLISHING:
+            continue
         if name.endswith(".lock"):
             out += _clear_lock(store, name, dry_run=dry_run)
             continue

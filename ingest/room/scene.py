@@ -33,7 +33,10 @@ def _slabs(
     """Entry and exit distance of an axis-aligned box, and the axes on which they happen."""
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (low - origin) / direction, (high - origin) / direction
-    near, far = np.fmin(a, b), np.fmax(a, b)
+    # A ray along a slab is in it all the way or never; on its very face 0 / 0 would say neither.
+    along, inside = direction == 0, (origin >= low) & (origin <= high)
+    near = np.where(along, np.where(inside, -np.inf, np.inf), np.minimum(a, b))
+    far = np.where(along, np.where(inside, np.inf, -np.inf), np.maximum(a, b))
     return near.max(axis=1), far.min(axis=1), near.argmax(axis=1), far.argmin(axis=1)
 
 

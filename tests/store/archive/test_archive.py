@@ -369,7 +369,7 @@ def test_a_killed_process_leaves_nothing_half_published(lab: Archive, publish: i
     (outcome,) = derive(archive, archive.scans(), BUILT_IN["paper"])
     assert outcome.error is None
     repair(archive)
-    assert os.listdir(archive.root / "staging") == []
+    assert os.listdir(archive.root / "staging") == ["publishing.lock"]
     assert verify(archive) == []
     assert archive.points(recipe="paper").collect().height > 0
 
@@ -442,7 +442,7 @@ def test_a_full_disk_publishes_nothing_and_says_so(lab: Archive) -> None:
     assert "the disk is full" in said
     assert "free some space" in said
     assert sorted(p for p in (lab.root / "derived").rglob("*") if p.is_file()) == before
-    assert os.listdir(lab.root / "staging") == []
+    assert set(os.listdir(lab.root / "staging")) <= {"publishing.lock"}
     (outcome,) = derive(lab, lab.scans(), BUILT_IN["paper"])
     assert outcome.error is None
 
@@ -636,3 +636,22 @@ def test_an_interrupt_ends_all_workers_at_once() -> None:
     _, said = process.communicate(timeout=20)
     assert process.returncode != 0
     assert said.count("Traceback") <= 1, said
+
+
+def test_repair_waits_for_a_publication_that_is_under_way(lab: Archive) -> None:
+    import threading
+
+    points = next(m for m in lab.derivations() if m.kind == "points")
+    manifest = (lab.root / points.path).with_suffix(".json")
+    text = manifest.read_bytes()
+    done: list[str] = []
+    with lab.store.holding(alone=False):
+        manifest.unlink()  # A table that is published already, and its manifest not yet.
+        tidy = threading.Thread(target=lambda: done.extend(r.did for r in repair(lab)))
+        tidy.start()
+        tidy.join(0.5)
+        assert tidy.is_alive()
+        manifest.write_bytes(text)
+    tidy.join(30)
+    assert done == ["rebuilt"]
+    assert verify(lab) == []
