@@ -44,7 +44,7 @@ def project(points_camera_mm: npt.ArrayLike, camera: Intrinsics) -> tuple[Floats
     return pixels(*distort(p[..., 0] / depth, p[..., 1] / depth, camera), camera)
 
 
-def _jacobian(x: Floats, y: Floats, camera: Intrinsics) -> tuple[Floats, Floats, Floats]:
+def distortion_jacobian(x: Floats, y: Floats, camera: Intrinsics) -> tuple[Floats, Floats, Floats]:
     """d(xd)/dx, d(xd)/dy = d(yd)/dx, d(yd)/dy of :func:`distort`; the mixed terms are equal."""
     k1, k2, p1, p2, k3 = camera.distortion
     r2 = x * x + y * y
@@ -74,7 +74,7 @@ def undistort_points(
         for _ in range(_STEPS):
             ex, ey = distort(x, y, camera)
             ex, ey = ex - xd, ey - yd
-            xx, xy, yy = _jacobian(x, y, camera)
+            xx, xy, yy = distortion_jacobian(x, y, camera)
             det = xx * yy - xy * xy
             dx, dy = (yy * ex - xy * ey) / det, (xx * ey - xy * ex) / det
             x, y = x - dx, y - dy
@@ -82,7 +82,7 @@ def undistort_points(
             if not step.size or np.nanmax(step, initial=0.0) < _CONVERGED:
                 break
         ex, ey = distort(x, y, camera)
-        xx, xy, yy = _jacobian(x, y, camera)
+        xx, xy, yy = distortion_jacobian(x, y, camera)
         # Beyond the fold the determinant is negative: a root there is another branch, not the ray.
         good = (np.abs(ex - xd) + np.abs(ey - yd) < 1e-12) & (xx * yy - xy * xy > 0) & (xx > 0)
     return np.where(good, x, np.nan), np.where(good, y, np.nan)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..schemas.calibration import Intrinsics, LaserPlane
-from .camera import _jacobian, undistort_points
+from .camera import distortion_jacobian, undistort_points
 from .triangulate import intersect, range_of
 
 Floats = npt.NDArray[np.float64]
@@ -40,7 +40,7 @@ def sigma_range_mm(
         q = nx * x + ny * y + nz
         s2 = 1.0 + x * x + y * y
         gx, gy = distance * (x / s2 - nx / q), distance * (y / s2 - ny / q)
-        xx, xy, yy = _jacobian(x, y, camera)
+        xx, xy, yy = distortion_jacobian(x, y, camera)
         det = xx * yy - xy * xy
         by_xd, by_yd = (yy * gx - xy * gy) / det, (xx * gy - xy * gx) / det
         by_u = by_xd / camera.fx_px

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import io
 import struct
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,17 +41,21 @@ from ..schemas.channels import PROFILE
 from ..schemas.errors import DamageError, StorageError
 
 MAGIC: Final = b"\x89MCAP0\r\n"
+_THREAD = threading.local()
 _LARGEST_CHUNK: Final = 1 << 31
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _RECORD_HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
+_INDEX_HEAD = struct.Struct("<HI")
+_INDEX_ENTRY = struct.Struct("<QQ")
+# Chunks are larger than this and so are read past the buffer, without a second copy.
+_BUFFER_BYTES: Final = 1 << 16
 
 _READERS: Final[dict[int, Callable[[ReadDataStream], Any]]] = {
     Opcode.HEADER: Header.read,
     Opcode.FOOTER: Footer.read,
     Opcode.SCHEMA: Schema.read,
     Opcode.CHANNEL: Channel.read,
-    Opcode.MESSAGE_INDEX: MessageIndex.read,
     Opcode.CHUNK_INDEX: ChunkIndex.read,
     Opcode.ATTACHMENT: Attachment.read,
     Opcode.ATTACHMENT_INDEX: AttachmentIndex.read,
@@ -59,6 +65,11 @@ _READERS: Final[dict[int, Callable[[ReadDataStream], Any]]] = {
     Opcode.SUMMARY_OFFSET: SummaryOffset.read,
     Opcode.DATA_END: DataEnd.read,
 }
+
+
+# What is asked for every record: as plain numbers, which compare much faster than members.
+_MESSAGE: Final = int(Opcode.MESSAGE)
+_REPEATED: Final = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,16 +93,32 @@ def damaged(path: Path, offset: int, what: str) -> DamageError:
 
 def parse_record(opcode: int, body: bytes | memoryview, path: Path, offset: int) -> Any:
     """The record in ``body``; None for an opcode that MCAP leaves to others."""
-    if opcode == Opcode.MESSAGE:
+    if opcode == _MESSAGE:
         return parse_message(memoryview(body), path, offset)
-    reader = _READERS.get(opcode)
-    if reader is None:
-        return None
-    stream = ReadDataStream(io.BytesIO(body))
     try:
-        return reader(stream)
+        if opcode == Opcode.MESSAGE_INDEX:
+            return _message_index(body)
+        if opcode in _REPEATED:
+            return _repeated(opcode, bytes(body))
+        reader = _READERS.get(opcode)
+        return None if reader is None else reader(ReadDataStream(io.BytesIO(body)))
     except (EndOfFile, struct.error, UnicodeDecodeError) as error:
         raise damaged(path, offset, f"a record of kind {opcode:#04x} is malformed") from error
+
+
+@lru_cache(maxsize=256)
+def _repeated(opcode: int, body: bytes) -> Any:
+    """A schema or channel record: every chunk repeats those that it uses, byte for byte."""
+    return _READERS[opcode](ReadDataStream(io.BytesIO(body)))
+
+
+def _message_index(body: bytes | memoryview) -> MessageIndex:
+    """One stands behind each chunk for each channel: read at once, not number by number."""
+    channel, size = _INDEX_HEAD.unpack_from(body)
+    entries = memoryview(body)[_INDEX_HEAD.size : _INDEX_HEAD.size + size]
+    if len(entries) < size:
+        raise EndOfFile
+    return MessageIndex(channel, list(_INDEX_ENTRY.iter_unpack(entries)))
 
 
 def parse_message(body: memoryview, path: Path, offset: int) -> LogMessage:
@@ -103,7 +130,7 @@ def parse_message(body: memoryview, path: Path, offset: int) -> LogMessage:
 
 
 def chunk_records(body: memoryview, path: Path, offset: int, *, strict: bool) -> Iterator[Any]:
-    """Schemas, channels and messages of the chunk record ``body``, after its CRC was checked.
+    """Schemas, channels and messages of the chunk record ``body``, its CRC checked before the first.
 
     ``strict`` refuses a chunk without a CRC.
     """
@@ -124,40 +151,49 @@ def chunk_records(body: memoryview, path: Path, offset: int, *, strict: bool) ->
         raise damaged(path, offset, f"a chunk holds {len(data)} bytes, its head says {size}")
     if (crc or strict) and isal_zlib.crc32(data) != crc:
         raise damaged(path, offset, "the CRC of a chunk does not fit its content")
-    yield from inner_records(memoryview(data), path, offset, start=start, end=end)
+    return inner_records(memoryview(data), path, offset, start=start, end=end)
 
 
 def inner_records(data: memoryview, path: Path, offset: int, *, start: int, end: int) -> Iterator[Any]:
     """Records of decompressed chunk content; message times must lie in [start, end]."""
-    at = 0
-    while at < len(data):
-        if at + 9 > len(data):
+    at, size = 0, len(data)
+    while at < size:
+        if at + 9 > size:
             raise damaged(path, offset, f"a record head is cut off at byte {at} of a chunk")
         opcode, length = _RECORD_HEAD.unpack_from(data, at)
         at += 9
-        if length > len(data) - at:
+        if length > size - at:
             raise damaged(path, offset, f"a record runs past the end of its chunk at byte {at}")
-        if opcode == Opcode.MESSAGE:
-            message = parse_message(data[at : at + length], path, offset)
+        body = data[at : at + length]
+        at += length
+        if opcode == _MESSAGE:
+            message = parse_message(body, path, offset)
             if not start <= message.log_time <= end:
                 raise damaged(path, offset, f"a message at {message.log_time} is outside its chunk")
             yield message
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            yield parse_record(opcode, data[at : at + length], path, offset)
+        elif opcode in _REPEATED:
+            yield parse_record(opcode, body, path, offset)
         elif opcode < 0x80:
             raise damaged(path, offset, f"a record of kind {opcode:#04x} inside a chunk")
-        at += length
+
+
+def _zstd() -> zstandard.ZstdDecompressor:
+    """One decompressor a thread: making one costs as much as a small chunk, sharing is unsafe."""
+    if not hasattr(_THREAD, "zstd"):
+        _THREAD.zstd = zstandard.ZstdDecompressor()
+    return _THREAD.zstd
 
 
 def _decompress(name: bytes, data: memoryview, size: int, path: Path, offset: int) -> Any:
     if name == b"":
-        return data
+        # The chunk's bytes are read into memory that the next chunk is read into as well.
+        return bytes(data)
     # zstd stores 128 KiB in no less than four bytes: what claims more would only fill the memory.
     if size > min(len(data) * 32_768 + 131_072, _LARGEST_CHUNK):
         raise damaged(path, offset, f"a chunk of {len(data)} bytes claims to hold {size}")
     try:
         if name == b"zstd":
-            return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+            return _zstd().decompress(data, max_output_size=size)
         if name == b"lz4":
             import lz4.frame
 
@@ -165,6 +201,14 @@ def _decompress(name: bytes, data: memoryview, size: int, path: Path, offset: in
     except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
         raise damaged(path, offset, f"a chunk cannot be decompressed ({error})") from error
     raise damaged(path, offset, f"a chunk has the unknown compression {name!r}")
+
+
+def _body(file: Any, length: int, scratch: list[bytearray]) -> memoryview:
+    """A chunk's body, read into ``scratch``: fresh memory for each would cost more than the read."""
+    if len(scratch[0]) < length:
+        scratch[0] = bytearray(length)
+    view = memoryview(scratch[0])[:length]
+    return view[: file.readinto(view)]
 
 
 class RecordWalk:
@@ -179,7 +223,7 @@ class RecordWalk:
 
     def __iter__(self) -> Iterator[tuple[int, Any]]:
         try:
-            with self.path.open("rb", buffering=1 << 20) as file:
+            with self.path.open("rb", buffering=_BUFFER_BYTES) as file:
                 size = file.seek(0, io.SEEK_END)
                 file.seek(0)
                 yield from self._walk(file, size)
@@ -195,6 +239,7 @@ class RecordWalk:
         crc = isal_zlib.crc32(magic)
         offset = len(magic)
         strict = False
+        scratch = [bytearray()]
         while True:
             head = file.read(9)
             if len(head) < 9:
@@ -202,7 +247,7 @@ class RecordWalk:
             opcode, length = _RECORD_HEAD.unpack(head)
             if length > size - offset - 9:
                 raise damaged(self.path, offset, f"a record of {length} bytes runs past the end")
-            body = file.read(length)
+            body = _body(file, length, scratch) if opcode == Opcode.CHUNK else file.read(length)
             if len(body) != length:
                 raise damaged(self.path, offset, "the file is shorter than it was")
             if opcode == Opcode.DATA_END:
@@ -214,7 +259,7 @@ class RecordWalk:
                 return
             crc = isal_zlib.crc32(body, isal_zlib.crc32(head, crc))
             if opcode == Opcode.CHUNK:
-                for record in chunk_records(memoryview(body), self.path, offset, strict=strict):
+                for record in chunk_records(body, self.path, offset, strict=strict):
                     yield offset, record
             elif opcode == Opcode.FOOTER:
                 raise damaged(self.path, offset, "the data section has no end record")
@@ -229,7 +274,7 @@ class RecordWalk:
                     yield offset, record
             offset += 9 + length
 
-    def _check_attachment(self, body: bytes, offset: int) -> None:
+    def _check_attachment(self, body: bytes | memoryview, offset: int) -> None:
         """The CRC stands right after the data; a record may be longer than its fields."""
         try:
             at = 16

@@ -227,6 +227,8 @@ def test_bad_arguments_are_named() -> None:
         extract_stripe(frame, "guess")
     with pytest.raises(UsageError, match="orientation is 'slanted'"):
         extract_stripe(frame, orientation="slanted")
+    with pytest.raises(InputError, match="window from 9 to 9 px holds nothing of a frame of 9 px"):
+        extract_stripe(frame, from_px=9)
     with pytest.raises(InputError, match="background frame is"):
         extract_stripe(frame, background=np.zeros((4, 8), np.uint8))
 
