@@ -19,7 +19,6 @@ from typing import Protocol
 from ..schemas.errors import DamageError, StorageError
 
 STAGING = "staging"
-PUBLISHING = "publishing.lock"
 
 
 class ByteStore(Protocol):
@@ -128,9 +127,10 @@ class LocalFolder:
         folder = self.root / STAGING
         try:
             folder.mkdir(exist_ok=True)
-            handle = os.open(folder / PUBLISHING, os.O_CREAT | os.O_RDWR, 0o644)
+            # The folder itself is the lock: a file of its own would only be one more thing to explain.
+            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         except OSError as error:
-            raise storage_error(error, folder / PUBLISHING) from error
+            raise storage_error(error, folder) from error
         try:
             fcntl.flock(handle, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
             yield

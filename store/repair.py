@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from ..schemas.errors import ConflictError, TurnscanError
 from . import layout
-from .bytes import PUBLISHING, STAGING, LocalFolder
+from .bytes import STAGING, LocalFolder
 from .drafts import DraftLock
 from .projection import manifests_of_derivations, read_manifest
 from .salvage import salvage_log
@@ -121,8 +121,6 @@ def _move_aside(store: LocalFolder, *, dry_run: bool) -> list[Repair]:
 def _clear_staging(store: LocalFolder, *, dry_run: bool) -> list[Repair]:
     out = []
     for name in store.list(STAGING):
-        if name == PUBLISHING:
-            continue
         if name.endswith(".lock"):
             out += _clear_lock(store, name, dry_run=dry_run)
             continue
