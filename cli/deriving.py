@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..schemas.errors import CalibrationError, UsageError
+from ..schemas.errors import CalibrationError, TurnscanError, UsageError
 from .output import Format, FormatOption, JsonOption, chosen, counted, current_session, emit
 from .places import (
     CalibrationOption,
@@ -66,7 +66,7 @@ def process(
         picked = [
             scan
             for scan, plan in zip(picked, plans, strict=True)
-            if isinstance(plan, CalibrationError) or not plan.done
+            if isinstance(plan, TurnscanError) or not plan.done
         ]
     if not picked:
         session.say("no scan to process")
@@ -128,7 +128,7 @@ def _stale_rows(
     rows: list[dict[str, Any]] = []
     for scan, plan in zip(picked, archive.plan(picked, recipe, calibration), strict=True):
         base = {"scan": scan.scan, "label": scan.label}
-        if isinstance(plan, CalibrationError):
+        if isinstance(plan, TurnscanError):
             rows.append(
                 {**base, "table": "points", "stale": True, "why": str(plan), "error": plan.message}
             )

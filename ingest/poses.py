@@ -15,6 +15,8 @@ from ..schemas.errors import InputError
 _COLUMNS = ("file", "angle_deg", "t_ns", "laser", "laser_on")
 _YES, _NO = {"1", "true", "yes", "on"}, {"0", "false", "no", "off"}
 _NOMINAL_STEP_NS = 1_000_000_000
+#: A hundred turns: what is beyond is a mistake in the unit.
+_MOST_DEG = 36_000.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,11 @@ def poses_by_step(
     """
     if not (math.isfinite(step_deg) and math.isfinite(start_deg)):
         raise InputError(f"--step-deg {step_deg} and --start-deg {start_deg} must be finite")
+    if not abs(start_deg) + abs(step_deg) * len(images) <= _MOST_DEG:
+        raise InputError(
+            f"--step-deg {step_deg:g} over {len(images)} images leaves {_MOST_DEG:g} degrees",
+            hint="angles are in degrees, not in steps of a motor",
+        )
     dark = [p for p in images if background is not None and fnmatch(p.name, background)]
     lit = [p for p in images if background is None or not fnmatch(p.name, background)]
     if background is not None and len(dark) not in (1, len(lit)):
@@ -126,7 +133,7 @@ def _read_rows(table: Path) -> list[tuple[int, dict[str, str]]]:
                 raise InputError(
                     f"{table}, line 1: columns are {header}, expected file, angle_deg and, "
                     "optionally, t_ns, laser, laser_on; each once",
-                    hint="the first line of the CSV names its columns",
+                    hint="separate cells by commas; the first line names the columns",
                 )
             rows = [
                 (reader.line_num, _stripped(row, f"{table}, line {reader.line_num}")) for row in reader
@@ -150,9 +157,12 @@ def _stripped(row: dict[str | None, Any], where: str) -> dict[str, str]:
 
 
 def _image_of(name: str, names: dict[str, list[Path]], *, where: str) -> Path:
-    found = names.get(Path(name).name, [])
-    if len(found) > 1:
-        found = [p for p in found if p.as_posix().endswith("/" + name.lstrip("./"))]
+    # Spreadsheets on other systems write backslashes; a folder that is named must be the right one.
+    parts = [p for p in name.replace("\\", "/").split("/") if p not in ("", ".", "..")]
+    ending = "/" + "/".join(parts)
+    found = [
+        p for p in names.get(parts[-1] if parts else "", []) if p.absolute().as_posix().endswith(ending)
+    ]
     if len(found) != 1:
         what = "no image" if not found else f"{len(found)} images"
         raise InputError(f"{where}: {what} named {name!r}", hint="names must be those of the images")
@@ -164,13 +174,15 @@ def _pose(path: Path, row: dict[str, str], *, where: str) -> Pose:
         angle = float(row["angle_deg"])
     except ValueError:
         angle = math.nan
-    if not math.isfinite(angle):
-        raise InputError(f"{where}: angle_deg is {row['angle_deg']!r}, expected a number of degrees")
+    if not abs(angle) <= _MOST_DEG:
+        raise InputError(
+            f"{where}: angle_deg is {row['angle_deg']!r}, expected a number of degrees within {_MOST_DEG:g}"
+        )
     t_ns = None
     if row.get("t_ns"):
-        if not row["t_ns"].isascii() or not row["t_ns"].isdigit() or int(row["t_ns"]) >= 2**63:
-            raise InputError(f"{where}: t_ns is {row['t_ns']!r}, expected whole nanoseconds")
-        t_ns = int(row["t_ns"])
+        t_ns = _whole(row["t_ns"], 2**63)
+        if t_ns is None:
+            raise InputError(f"{where}: t_ns is {row['t_ns'][:40]!r}, expected whole nanoseconds")
     return Pose(path, angle, _lasers(row, where), t_ns)
 
 
@@ -180,7 +192,16 @@ def _lasers(row: dict[str, str], where: str) -> tuple[int, ...]:
         raise InputError(f"{where}: laser_on is {row['laser_on']!r}, expected 1 or 0")
     if on in _NO:
         return ()
-    parts = (row.get("laser") or "0").split(";")
-    if not all(p.isascii() and p.strip().isdigit() and int(p) < 256 for p in parts):
-        raise InputError(f"{where}: laser is {row['laser']!r}, expected a number from 0 to 255, or 0;1")
-    return tuple(sorted({int(p) for p in parts}))
+    numbers = [_whole(p.strip(), 256) for p in (row.get("laser") or "0").split(";")]
+    if None in numbers:
+        raise InputError(
+            f"{where}: laser is {row['laser'][:40]!r}, expected a number from 0 to 255, or 0;1"
+        )
+    return tuple(sorted({n for n in numbers if n is not None}))
+
+
+def _whole(text: str, limit: int) -> int | None:
+    """A whole number below ``limit`` in plain digits, or None."""
+    if not (text.isascii() and text.isdigit() and len(text) <= len(str(limit))):
+        return None
+    return int(text) if int(text) < limit else None

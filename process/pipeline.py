@@ -7,6 +7,7 @@ sealed, and POINTS are derived from the sealed STRIPES. The result does not depe
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -18,7 +19,7 @@ import numpy as np
 from ..schemas.errors import CalibrationError, InputError, TurnscanError
 from ..schemas.events import TurntableAngle
 from ..schemas.manifests import DerivationManifest, ScanSummary
-from ..schemas.recipe import Recipe, Undistort
+from ..schemas.recipe import Recipe
 from ..schemas.tables import POINTS, STRIPES
 from ..store import Archive
 from ..store.log_reader import LogFrame
@@ -87,10 +88,10 @@ def derive(
 def _one(
     archive: Archive,
     scan: ScanSummary,
-    plan: Plan | CalibrationError,
+    plan: Plan | TurnscanError,
     step: Callable[[int], None] | None,
 ) -> Outcome:
-    if isinstance(plan, CalibrationError):
+    if isinstance(plan, TurnscanError):
         return Outcome(scan.scan, error=plan)
     try:
         return derive_scan(archive, plan, step)
@@ -98,8 +99,11 @@ def _one(
         return Outcome(scan.scan, error=error)
 
 
-def _in_worker(root: Path, scan: ScanSummary, plan: Plan | CalibrationError) -> Outcome:
-    return _one(Archive.open(root), scan, plan, None)
+def _in_worker(root: Path, scan: ScanSummary, plan: Plan | TurnscanError) -> Outcome:
+    try:
+        return _one(Archive.open(root), scan, plan, None)
+    except TurnscanError as error:
+        return Outcome(scan.scan, error=error)
 
 
 def derive_scan(archive: Archive, plan: Plan, step: Callable[[int], None] | None = None) -> Outcome:
@@ -115,8 +119,7 @@ def derive_scan(archive: Archive, plan: Plan, step: Callable[[int], None] | None
         return Outcome(plan.scan.scan)
     began = time.monotonic()
     reasons = {kind: archive.why_missing(plan, kind) for kind in plan.missing}
-    if any(isinstance(s, Undistort) for s in plan.recipe.stages):
-        check_size(plan.calibration.intrinsics_or_fail(), plan.scan.width_px, plan.scan.height_px)
+    check_size(plan.calibration.intrinsics_or_fail(), plan.scan.width_px, plan.scan.height_px)
     stripes = plan.stripes or _derive_stripes(archive, plan, step)
     points = plan.points or _derive_points(archive, plan, stripes)
     return Outcome(
@@ -203,7 +206,8 @@ def _stripe_columns(
         "frame": np.full(n, frame, np.uint32),
         "t_ns": np.full(n, t_ns, np.int64),
         "laser": laser,
-        "angle_rad": np.full(n, angle_rad, np.float32),
+        # Within one turn, where float32 is good to 3e-7 rad.
+        "angle_rad": np.full(n, math.fmod(angle_rad, math.tau), np.float32),
         **{name: points[name] for name in points.dtype.names or ()},
     }
 

@@ -152,7 +152,7 @@ class PointChain:
         distance = range_of(p)
         turned = turntable_from_camera(self._axis)(p)
         scene = scene_from_turntable(turned, stripes["angle_rad"].astype(np.float64), self._axis)
-        keep = np.isfinite(distance) & (distance >= self._step.min_range_mm)
+        keep = np.isfinite(scene).all(axis=1) & (distance >= self._step.min_range_mm)
         if self._step.max_range_mm is not None:
             keep &= distance <= self._step.max_range_mm
         if self._step.max_radius_mm is not None:

@@ -106,7 +106,7 @@ class TableSpec:
 _FRAME = Column("frame", "uint32", "", "number of the frame in the scan, from 0")
 _LASER = Column("laser", "uint8", "", "number of the laser, as in the calibration")
 _ROW = Column("row", "uint16", "px", "row of the frame (vertical stripe) or column (horizontal stripe)")
-_ANGLE = Column("angle_rad", "float32", "rad", "turntable angle of the frame")
+_ANGLE = Column("angle_rad", "float32", "rad", "turntable angle of the frame, within one turn")
 _U = Column("u_px", "float32", "px", "stripe centre along the row (vertical) or column (horizontal)")
 _AMPLITUDE = Column("amplitude_dn", "float32", "DN", "peak of the stripe above its background")
 _WIDTH = Column("width_px", "float32", "px", "stripe width, as Gaussian standard deviation")

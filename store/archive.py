@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -18,10 +19,7 @@ from ..schemas.archive_events import (
 )
 from ..schemas.calibration import Calibration
 from ..schemas.document import dump_json
-from ..schemas.errors import (
-    CalibrationError,
-    StorageError,
-)
+from ..schemas.errors import StorageError, TurnscanError
 from ..schemas.ids import new_ulid
 from ..schemas.manifests import (
     ArchiveSettings,
@@ -62,6 +60,7 @@ class Archive:
         self.settings = settings
         self.store = LocalFolder(root)
         self.catalog = Catalog(root / layout.CATALOG)
+        self.catalog.remake = self.rebuild_catalog
         synchronise(self.store, self.catalog)
         self._calibrations = Calibrations(self.store, self.catalog)
 
@@ -109,12 +108,16 @@ class Archive:
 
     def seal(self, draft: ScanDraft, facts: LogFacts) -> ScanSummary:
         """Make ``draft`` a scan for good and enter it in the catalogue."""
+        if facts.calibration is not None:
+            # First, so that a sealed scan never names a calibration that is not there.
+            self._calibrations.add(facts.calibration)
         summary = draft.seal(facts)
-        with self.catalog.writing() as c:
+
+        def enter(c: sqlite3.Connection) -> None:
             put(c, "scans", scan_row(summary))
             refold(c)
-        if facts.calibration is not None:
-            self._calibrations.add(facts.calibration)
+
+        self.catalog.enter(enter)
         return summary
 
     def same_content(self, frames_sha256: str) -> str | None:
@@ -130,8 +133,7 @@ class Archive:
 
         from .catalog_where import select_scans
 
-        with self.catalog.reading() as c:
-            rows = select_scans(c, where=where, retired=retired)
+        rows = self.catalog.ask(lambda c: select_scans(c, where=where, retired=retired))
         for row in rows:
             for name in ("tags", "cameras", "lasers"):
                 row[name] = json.loads(row[name])
@@ -163,9 +165,12 @@ class Archive:
             name = _ulid_after(newest)
         event = kind(id=name, t_ns=t_ns, **fields).sealed()
         self.store.put_if_absent(layout.event_file(name), dump_json(event.plain()))
-        with self.catalog.writing() as c:
+
+        def enter(c: sqlite3.Connection) -> None:
             put(c, "events", event_row(event))
             refold(c)
+
+        self.catalog.enter(enter)
         self._calibrations.forget()
         return event
 
@@ -253,13 +258,13 @@ class Archive:
 
     def plan(
         self, scans: Sequence[ScanSummary], recipe: Recipe, choice: str = "current"
-    ) -> Iterator[Plan | CalibrationError]:
-        """What ``recipe`` means for each scan, in order; an error where no calibration serves."""
+    ) -> Iterator[Plan | TurnscanError]:
+        """What ``recipe`` means for each scan, in order; an error where none can be made."""
         for scan in scans:
             try:
                 effective = self.effective(scan, choice)
                 keys = keys_of(scan, recipe, effective.calibration)
-            except CalibrationError as error:
+            except TurnscanError as error:
                 yield error
                 continue
             found = self._found(scan.scan, (keys.stripes, keys.points))
@@ -296,8 +301,7 @@ class Archive:
     def publish(self, batches: Iterator[pa.RecordBatch], **fields: Any) -> DerivationManifest:
         """Write, publish and enter one derivation; see :func:`store.derivations.publish`."""
         manifest = publish(self.store, batches, fields)
-        with self.catalog.writing() as c:
-            put(c, "derivations", derivation_row(manifest))
+        self.catalog.enter(lambda c: put(c, "derivations", derivation_row(manifest)))
         return manifest
 
     def read(self, manifest: DerivationManifest) -> Iterator[pa.RecordBatch]:
@@ -322,7 +326,7 @@ class Archive:
         chosen = built_in_recipe(recipe) if isinstance(recipe, str) else recipe
         made = []
         for plan in self.plan(self.scans(where=where), chosen, choice):
-            if isinstance(plan, CalibrationError):
+            if isinstance(plan, TurnscanError):
                 continue
             manifest = plan.points if kind == "points" else plan.stripes
             if manifest is not None:

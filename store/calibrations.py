@@ -42,8 +42,7 @@ class Calibrations:
         """Keep a document under its content id."""
         name = calibration.calibration_id()
         self._store.put_if_absent(layout.calibration_file(name), dump_json(calibration.plain()))
-        with self._catalog.writing() as c:
-            put_calibration(c, calibration)
+        self._catalog.enter(lambda c: put_calibration(c, calibration))
         return name
 
     def rows(self) -> list[Row]:

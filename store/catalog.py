@@ -6,14 +6,16 @@ was copied in or removed is noticed by the names in scans/, calibrations/ and ev
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from ..schemas.errors import StorageError
+from ..schemas.errors import StorageError, TurnscanError
 
 #: Raised when the tables below change: an older file is made again.
 CATALOG_VERSION = 1
@@ -48,17 +50,38 @@ CREATE INDEX derivations_by_scan ON derivations (scan, kind);
 TABLE_NAMES = ("scans", "calibrations", "calibration_parts", "events", "derivations")
 
 Row = dict[str, Any]
+Answer = TypeVar("Answer")
 
 
-class CatalogError(Exception):
+class CatalogError(TurnscanError):
     """The catalogue is missing, of another version, or broken: it must be made again."""
+
+    slug = "catalog"
 
 
 class Catalog:
-    """The file ``path``, which need not exist yet."""
+    """The file ``path``, which need not exist yet.
+
+    ``remake`` makes it again from the archive's files; it is called when a query or an entry finds no
+    catalogue that can be used, because somebody deleted it or a newer one is wanted.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.remake: Callable[[], None] | None = None
+
+    @contextmanager
+    def _shared(self, *, alone: bool) -> Iterator[None]:
+        """Writers hold the archive's folder together; who replaces the file holds it ``alone``.
+
+        Without this a catalogue that is replaced would take the entries of writers with it.
+        """
+        handle = os.open(self.path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+            yield
+        finally:
+            os.close(handle)
 
     @contextmanager
     def reading(self) -> Iterator[sqlite3.Connection]:
@@ -72,36 +95,90 @@ class Catalog:
         try:
             with closing(sqlite3.connect(f"{self.path.as_uri()}?mode=ro", uri=True, timeout=30)) as c:
                 c.row_factory = sqlite3.Row
-                if c.execute("PRAGMA user_version").fetchone()[0] != CATALOG_VERSION:
-                    raise CatalogError(f"{self.path} has another version")
+                self._check_version(c)
                 yield c
         except sqlite3.DatabaseError as error:
-            raise CatalogError(f"{self.path}: {error}") from error
+            raise self._broken(error) from error
 
     @contextmanager
     def writing(self) -> Iterator[sqlite3.Connection]:
-        """One transaction that holds off other writers from its start."""
+        """One transaction that holds off other writers from its start.
+
+        Raises
+        ------
+        CatalogError
+            There is no catalogue that this program can use.
+        """
+        if not self.path.exists():
+            raise CatalogError(f"{self.path} does not exist")
         try:
-            with closing(sqlite3.connect(self.path, timeout=60, isolation_level=None)) as c:
-                c.row_factory = sqlite3.Row
-                c.execute("BEGIN IMMEDIATE")
-                try:
+            with self._shared(alone=False), self._transaction(self.path) as c:
+                self._check_version(c)
+                yield c
+        except sqlite3.DatabaseError as error:
+            raise self._broken(error) from error
+
+    @contextmanager
+    def _transaction(self, path: Path) -> Iterator[sqlite3.Connection]:
+        with closing(sqlite3.connect(path, timeout=60, isolation_level=None)) as c:
+            c.row_factory = sqlite3.Row
+            c.execute("BEGIN IMMEDIATE")
+            try:
+                yield c
+                c.execute("COMMIT")
+            except BaseException:
+                if c.in_transaction:
+                    c.execute("ROLLBACK")
+                raise
+
+    @contextmanager
+    def replacing(self, aside: Path) -> Iterator[sqlite3.Connection]:
+        """Fill a fresh catalogue at ``aside``, which then takes the place of the old one."""
+        try:
+            with self._shared(alone=True):
+                with self._transaction(aside) as c:
+                    create_tables(c)
                     yield c
-                    c.execute("COMMIT")
-                except BaseException:
-                    if c.in_transaction:
-                        c.execute("ROLLBACK")
-                    raise
-        except sqlite3.OperationalError as error:
-            raise StorageError(
-                f"{self.path}: {error}",
-                hint="is the disk full, or the folder not writable? the catalogue can be deleted",
-            ) from error
+                aside.replace(self.path)
+        except sqlite3.DatabaseError as error:
+            raise self._broken(error) from error
+
+    def _check_version(self, c: sqlite3.Connection) -> None:
+        if c.execute("PRAGMA user_version").fetchone()[0] != CATALOG_VERSION:
+            raise CatalogError(f"{self.path} has another version")
+
+    def _broken(self, error: sqlite3.DatabaseError) -> TurnscanError:
+        if isinstance(error, sqlite3.OperationalError) and "full" in str(error):
+            return StorageError(f"{self.path}: the disk is full", hint="free some space")
+        if isinstance(error, sqlite3.OperationalError) and "locked" in str(error):
+            return StorageError(f"{self.path}: {error}", hint="another process is busy with it: again")
+        return CatalogError(f"{self.path}: {error}", hint="delete it: it is made again from the files")
+
+    def ask(self, question: Callable[[sqlite3.Connection], Answer]) -> Answer:
+        """The answer of the catalogue, which is made again first if it cannot be used."""
+        try:
+            with self.reading() as c:
+                return question(c)
+        except CatalogError:
+            if self.remake is None:
+                raise
+            self.remake()
+        with self.reading() as c:
+            return question(c)
+
+    def enter(self, entry: Callable[[sqlite3.Connection], None]) -> None:
+        """Enter what was published; a catalogue that cannot be used is made again, entry included."""
+        try:
+            with self.writing() as c:
+                entry(c)
+        except CatalogError:
+            if self.remake is None:
+                raise
+            self.remake()
 
     def rows(self, sql: str, values: Sequence[Any] = ()) -> list[Row]:
         """All rows of one query."""
-        with self.reading() as c:
-            return [dict(r) for r in c.execute(sql, values)]
+        return self.ask(lambda c: [dict(r) for r in c.execute(sql, values)])
 
     def dump(self) -> dict[str, list[Row]]:
         """The whole content, ordered, for comparison."""
@@ -109,9 +186,7 @@ class Catalog:
 
 
 def create_tables(c: sqlite3.Connection) -> None:
-    """Drop what is there and make the tables, inside the caller's transaction."""
-    for name in TABLE_NAMES:
-        c.execute(f"DROP TABLE IF EXISTS {name}")
+    """Make the tables, inside the caller's transaction."""
     for statement in _TABLES.split(";"):
         if statement.strip():
             c.execute(statement)

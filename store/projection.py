@@ -14,7 +14,7 @@ from ..schemas.errors import DamageError
 from ..schemas.manifests import DerivationManifest, ScanSummary
 from . import layout
 from .bytes import LocalFolder
-from .catalog import Catalog, CatalogError, Row, create_tables, put, remove
+from .catalog import Catalog, Row, put, remove
 from .fold import scan_states
 
 
@@ -152,15 +152,8 @@ def refold(c: sqlite3.Connection) -> None:
 
 
 def rebuild(store: LocalFolder, catalog: Catalog) -> None:
-    """Make the whole catalogue again from the files, in one transaction."""
-    try:
-        with catalog.reading():
-            pass
-    except CatalogError:
-        # A file that is no database cannot be written to either; it holds nothing of its own.
-        catalog.path.unlink(missing_ok=True)
-    with catalog.writing() as c:
-        create_tables(c)
+    """Make the whole catalogue again from the files, aside, and put it in the old one's place."""
+    with store.staged(".sqlite") as aside, catalog.replacing(aside) as c:
         for scan in sealed_scans(store):
             put(c, "scans", scan_row(read_summary(store, scan)))
         for name in _documents(store, layout.CALIBRATIONS):
@@ -178,15 +171,12 @@ def _documents(store: LocalFolder, folder: str) -> list[str]:
 
 def synchronise(store: LocalFolder, catalog: Catalog) -> None:
     """Bring the catalogue up to what lies in the folders, touching it only if something differs."""
-    try:
-        with catalog.reading() as c:
-            known = {
-                table: {r[0] for r in c.execute(f"SELECT {column} FROM {table}")}
-                for table, column in _KEYS.items()
-            }
-    except CatalogError:
-        rebuild(store, catalog)
-        return
+    known = catalog.ask(
+        lambda c: {
+            table: {r[0] for r in c.execute(f"SELECT {column} FROM {table}")}
+            for table, column in _KEYS.items()
+        }
+    )
     here = {
         # The manifest of a scan that is already known need not be looked for again.
         "scans": {
@@ -199,7 +189,8 @@ def synchronise(store: LocalFolder, catalog: Catalog) -> None:
     }
     if here == known:
         return
-    with catalog.writing() as c:
+
+    def enter(c: sqlite3.Connection) -> None:
         for table, column in _KEYS.items():
             remove(c, table, column, known[table] - here[table])
         remove(c, "calibration_parts", "calibration", known["calibrations"] - here["calibrations"])
@@ -210,6 +201,8 @@ def synchronise(store: LocalFolder, catalog: Catalog) -> None:
         for name in sorted(here["events"] - known["events"]):
             put(c, "events", event_row(read_event(store, name)))
         refold(c)
+
+    catalog.enter(enter)
 
 
 _KEYS = {"scans": "scan", "calibrations": "calibration", "events": "event"}

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..schemas.errors import ConflictError, TurnscanError
+from ..schemas.events import CalibrationSnapshot
 from . import layout
 from .bytes import STAGING, LocalFolder
 from .drafts import DraftLock
+from .log_reader import snapshot_calibration
 from .projection import manifests_of_derivations, read_manifest
 from .salvage import salvage_log
 from .verify import stray_tables, table_damage
@@ -38,6 +40,7 @@ def repair(archive: Archive, *, dry_run: bool = False) -> list[Repair]:
     Sealed scans, calibrations and events are never touched: damage there needs a copy.
     """
     done = _salvage_parts(archive, dry_run=dry_run)
+    done += _restore_calibrations(archive, dry_run=dry_run)
     with archive.store.holding(alone=True):
         done += _move_aside(archive.store, dry_run=dry_run)
     done += _clear_staging(archive.store, dry_run=dry_run)
@@ -88,6 +91,22 @@ def _salvage(archive: Archive, path: str, scan: str) -> Repair:
         layout.scan_file(scan, _SALVAGED), f"salvaged into {summary.scan}; lost: {lost}\n".encode()
     )
     return Repair(path, f"salvaged {saved.frames} frames into {summary.scan}; lost: {lost}")
+
+
+def _restore_calibrations(archive: Archive, *, dry_run: bool) -> list[Repair]:
+    """Calibrations that scans name and that are gone come back from the logs' own snapshots."""
+    out = []
+    here = set(archive.store.list(layout.CALIBRATIONS))
+    for scan in archive.scans():
+        if scan.calibration is None or f"{scan.calibration}.json" in here:
+            continue
+        path = layout.calibration_file(scan.calibration)
+        for item in archive.log(scan.scan).items() if not dry_run else ():
+            if isinstance(item, CalibrationSnapshot):
+                archive.add_calibration(snapshot_calibration(item, where=scan.scan))
+        out.append(Repair(path, f"{'restore' if dry_run else 'restored'} from the log of {scan.scan}"))
+        here.add(f"{scan.calibration}.json")
+    return out
 
 
 def _move_aside(store: LocalFolder, *, dry_run: bool) -> list[Repair]:

@@ -56,6 +56,7 @@ def verify(archive: Archive, advance: Advance | None = None) -> list[Finding]:
             for name in store.list(folder)
         ),
         *(partial(_derivation, store, path) for path in manifests_of_derivations(store)),
+        partial(_references, archive),
         partial(_strays, store),
         partial(_catalog, archive),
     ]
@@ -170,6 +171,21 @@ def stray_tables(store: LocalFolder) -> list[str]:
     )
 
 
+def _references(archive: Archive) -> list[Finding]:
+    """Calibrations that a scan, a certification or a table names must be there."""
+    store = archive.store
+    here = set(store.list(layout.CALIBRATIONS))
+    named = {s.calibration: f"scan {s.scan}" for s in archive.scans()}
+    named |= {e.calibration: f"event {e.id}" for e in archive.certifications()}
+    named |= {m.calibration: m.path for m in archive.derivations()}
+    hint = "turnscan repair takes it from a log that recorded it; else restore it from a copy"
+    return [
+        Finding(layout.calibration_file(c), f"is missing, but {who} names it", hint)
+        for c, who in sorted((c, who) for c, who in named.items() if c is not None)
+        if f"{c}.json" not in here
+    ]
+
+
 def _strays(store: LocalFolder) -> list[Finding]:
     hint = "turnscan repair moves it aside"
     return [Finding(p, "a table without a manifest", hint) for p in stray_tables(store)]
@@ -193,6 +209,9 @@ def _catalog(archive: Archive) -> list[Finding]:
             return []  # What cannot be projected is listed already, under its own name.
         expected = fresh.dump()
     differing = [name for name, rows in expected.items() if rows != present[name]]
+    # Another process may have published between the two looks: what stays is a difference.
+    again = archive.catalog.dump() if differing else present
+    differing = [name for name in differing if again[name] != expected[name]]
     if differing:
         return [Finding(layout.CATALOG, f"differs from the files: {', '.join(differing)}", hint)]
     return []

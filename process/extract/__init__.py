@@ -30,8 +30,9 @@ STRIPE_DTYPE: Final = np.dtype(
     ]
 )
 
-#: Below this ratio of amplitude to noise the centre is called weak.
-_WEAK = 8.0
+#: Below this ratio of amplitude to noise the centre is called weak, and below the other there is none,
+#: whatever base_dn says: 30 DN are much in 8 bits and little in 16.
+_WEAK, _LEAST = 8.0, 4.0
 
 _Result = tuple[Floats, Floats, Floats | None]
 _METHODS: Final[dict[str, Callable[[Stripes, float, float], _Result]]] = {
@@ -68,7 +69,8 @@ def extract_stripe(
     background
         A laser-off frame of the same shape and type, subtracted with its sign.
     base_dn
-        Gbase: what is not higher than this above its local background is no stripe.
+        Gbase: what is not higher than this (or than 4 times the noise) above its local background is
+        no stripe.
     max_width_px
         Half of the window about the peak that a row's samples are taken from.
     saturation_dn
@@ -109,19 +111,19 @@ def extract_stripe(
         background = None if background is None else np.ascontiguousarray(background.T)
     if saturation_dn is None:
         saturation_dn = float(np.iinfo(frame.dtype).max)
+    if noise is None:
+        noise = noise_dn(frame)
+    if background is not None:
+        noise *= np.sqrt(2.0)
     stripes = find_stripes(
         frame,
         background,
-        base_dn=base_dn,
+        base_dn=max(base_dn, _LEAST * noise),
         max_width_px=max_width_px,
         saturation_dn=saturation_dn,
         from_px=from_px,
         to_px=to_px,
     )
-    if noise is None:
-        noise = noise_dn(frame)
-    if background is not None:
-        noise *= np.sqrt(2.0)
     centre, sigma, width = _METHODS[method](stripes, noise, base_dn)
     out = np.zeros(len(centre), STRIPE_DTYPE)
     out["row"], out["u_px"], out["sigma_u_px"] = stripes.row, centre, sigma

@@ -97,13 +97,39 @@ def test_a_step_must_be_finite(step: float) -> None:
 def test_a_csv_as_a_spreadsheet_writes_it(tmp_path: Path) -> None:
     path = tmp_path / "angles.csv"
     text = "\ufefffile, angle_deg , laser,laser_on\r\nimg10.png,-3,0;1,1\r\n\r\n"
-    text += '"img1.png", 1.5e1,2,yes\r\nsomewhere/img2.png,0,,off\r\n'
+    text += '"img1.png", 1.5e1,2,yes\r\n./img2.png,0,,off\r\n'
     path.write_bytes(text.encode())
     assert brief(poses_from_csv(IMAGES, path)) == [
         ("img1.png", 15.0, (2,)),
         ("img2.png", 0.0, ()),
         ("img10.png", -3.0, (0, 1)),
     ]
+
+
+def test_a_folder_that_a_csv_names_must_be_the_right_one(tmp_path: Path) -> None:
+    images = [tmp_path / "run7" / "img1.png"]
+    for name in ("run7/img1.png", "../run7/img1.png", r"run7\img1.png", str(images[0])):
+        path = table(tmp_path, "file,angle_deg", f"{name},5")
+        assert poses_from_csv(images, path)[0].angle_deg == 5.0
+    path = table(tmp_path, "file,angle_deg", "run8/img1.png,5")
+    with pytest.raises(InputError, match=r"line 2: no image named 'run8/img1.png'"):
+        poses_from_csv(images, path)
+
+
+@pytest.mark.parametrize("angle", ["1e300", "36001", "-4e4"])
+def test_angles_beyond_a_hundred_turns_are_mistakes(tmp_path: Path, angle: str) -> None:
+    path = table(tmp_path, "file,angle_deg", f"img1.png,{angle}")
+    with pytest.raises(InputError, match="within 36000"):
+        poses_from_csv(IMAGES[:1], path)
+    with pytest.raises(InputError, match="leaves 36000 degrees"):
+        poses_by_step(IMAGES, step_deg=float(angle))
+
+
+@pytest.mark.parametrize("column", ["t_ns", "laser"])
+def test_endless_digits_are_refused(tmp_path: Path, column: str) -> None:
+    path = table(tmp_path, f"file,angle_deg,{column}", f"img1.png,0,{'9' * 5000}")
+    with pytest.raises(InputError, match=f"line 2: {column} is '9{{40}}'"):
+        poses_from_csv(IMAGES[:1], path)
 
 
 def test_lasers_of_a_frame_are_sorted_and_single(tmp_path: Path) -> None:

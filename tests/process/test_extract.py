@@ -238,3 +238,8 @@ def test_bad_arguments_are_named() -> None:
 def test_tiny_frames_do_no_harm(shape: tuple[int, int], method: str) -> None:
     for value in (0, 255):
         extract_stripe(np.full(shape, value, np.uint8), method)
+
+
+def test_noise_of_sixteen_bits_is_no_stripe() -> None:
+    frame = np.random.default_rng(3).normal(2000, 150, (300, 200)).astype(np.uint16)
+    assert len(extract_stripe(frame, "centroid")) <= 3

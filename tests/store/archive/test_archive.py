@@ -655,3 +655,76 @@ def test_repair_waits_for_a_publication_that_is_under_way(lab: Archive) -> None:
     tidy.join(30)
     assert done == ["rebuilt"]
     assert verify(lab) == []
+
+
+LOOKING = """
+import sys
+from turnscan.store import Archive
+for _ in range(25):
+    Archive.open(sys.argv[1]).catalog.path.unlink(missing_ok=True)
+    assert len(Archive.open(sys.argv[1]).scan_rows()) == 1
+"""
+
+
+def test_a_catalogue_that_vanishes_under_several_readers_is_made_again(lab: Archive) -> None:
+    pair = [
+        subprocess.Popen(
+            [sys.executable, "-c", LOOKING, str(lab.root)], stderr=subprocess.PIPE, text=True
+        )
+        for _ in range(3)
+    ]
+    for p in pair:
+        _, said = p.communicate(timeout=60)
+        assert p.returncode == 0, said
+    assert verify(lab) == []
+
+
+def test_an_entry_finds_its_catalogue_gone_and_makes_it_again(lab: Archive) -> None:
+    lab.catalog.path.unlink()
+    lab.tag("latest", {"a": "b"})
+    assert lab.scan_rows()[0]["tags"] == {"a": "b"}
+    lab.catalog.path.write_bytes(b"no database at all, but long enough to be looked at" * 40)
+    list(derive(lab, lab.scans(), BUILT_IN["paper"]))
+    assert verify(lab) == []
+
+
+def test_a_lost_calibration_is_found_and_comes_back_from_the_log(lab: Archive, source: Path) -> None:
+    name = lab.scan("latest").calibration
+    other = import_scan(lab, source, step=12.0, c=calibration(h=160.0))
+    (lab.root / "calibrations" / f"{name}.json").unlink()
+    again = Archive.open(lab.root)
+    found = verify(again)
+    assert any(name in f.path and "is missing" in f.what for f in found), found
+    a, b = derive(again, again.scans(), BUILT_IN["paper"])
+    assert isinstance(a.error, DamageError)
+    assert (b.scan, b.error) == (other.scan, None), "one scan's damage stops no other"
+    assert any("restored from the log" in r.did for r in repair(again))
+    again = Archive.open(lab.root)
+    assert verify(again) == []
+    assert [o.error for o in derive(again, again.scans(), BUILT_IN["paper"])] == [None, None]
+
+
+def test_the_calibrations_size_is_checked_without_an_undistort_stage(lab: Archive) -> None:
+    from turnscan.schemas.recipe import Extract, Recipe, Triangulate
+
+    wrong = calibration().model_copy(
+        update={"camera": calibration().camera.model_copy(update={"width_px": 640})}
+    )
+    name = lab.add_calibration(wrong)
+    recipe = Recipe(name="bare", stages=(Extract(), Triangulate()))
+    (outcome,) = derive(lab, lab.scans(), recipe, name)
+    assert isinstance(outcome.error, CalibrationError)
+    assert "frames are 64 x 48, the calibration is for 640 x 48" in str(outcome.error)
+
+
+def test_angles_of_many_turns_stay_exact(tmp_path: Path, source: Path) -> None:
+    archive = Archive.init(tmp_path / "lab")
+    a = import_scan(archive, source)
+    poses = poses_by_step(sorted(source.glob("*.png")), step_deg=10.0, start_deg=360.0 * 90)
+    b = import_images(archive, ImportPlan(poses, rig="r1", calibration=calibration()))
+    list(derive(archive, archive.scans(), BUILT_IN["default"]))
+    one, two = (
+        archive.points(where=f"scan = '{s.scan}'").select("x_mm", "y_mm", "z_mm").collect().to_numpy()
+        for s in (a, b)
+    )
+    assert np.allclose(one, two, atol=1e-3)
