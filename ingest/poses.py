@@ -176,7 +176,8 @@ def _pose(path: Path, row: dict[str, str], *, where: str) -> Pose:
         angle = math.nan
     if not abs(angle) <= _MOST_DEG:
         raise InputError(
-            f"{where}: angle_deg is {row['angle_deg']!r}, expected a number of degrees within {_MOST_DEG:g}"
+            f"{where}: angle_deg is {row['angle_deg'][:40]!r}, expected a number of degrees "
+            f"within {_MOST_DEG:g}"
         )
     t_ns = None
     if row.get("t_ns"):
