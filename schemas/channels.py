@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import Final
 
 from .canonical import canonical_json
@@ -65,6 +65,7 @@ _CAMERA = re.compile(r"^/camera/([A-Za-z0-9_.-]+)/(exposure|image|calibration)$"
 _EVENT_TOPICS: Final = {t.event: name for name, t in TOPICS.items() if t.event is not None}
 
 
+@lru_cache(1024)
 def topic_of(name: str) -> Topic | None:
     """What the topic ``name`` carries, or None for a topic that is not turnscan's."""
     match = _CAMERA.match(name)

@@ -156,9 +156,13 @@ class ScanLog:
 
     def frames(self) -> Iterator[LogFrame]:
         """Every frame, in time order."""
-        for item in self.items():
-            if isinstance(item, LogFrame):
-                yield item
+        exposures: dict[str, Exposure] = {}
+        for topic, schema, message in self.messages():
+            # Other events are checked by their CRCs, but need not be parsed.
+            if topic.startswith("/camera/"):
+                item = self.item(topic, schema, message, exposures)
+                if isinstance(item, LogFrame):
+                    yield item
 
 
 def snapshot_calibration(event: CalibrationSnapshot, *, where: str) -> Calibration:
