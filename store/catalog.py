@@ -49,6 +49,8 @@ CREATE INDEX derivations_by_scan ON derivations (scan, kind);
 """
 TABLE_NAMES = ("scans", "calibrations", "calibration_parts", "events", "derivations")
 
+_ATTEMPTS = 8
+
 Row = dict[str, Any]
 Answer = TypeVar("Answer")
 
@@ -156,12 +158,14 @@ class Catalog:
 
     def ask(self, question: Callable[[sqlite3.Connection], Answer]) -> Answer:
         """The answer of the catalogue, which is made again first if it cannot be used."""
-        try:
-            with self.reading() as c:
-                return question(c)
-        except CatalogError:
-            if self.remake is None:
-                raise
+        for _ in range(_ATTEMPTS):
+            try:
+                with self.reading() as c:
+                    return question(c)
+            except CatalogError:
+                if self.remake is None:
+                    raise
+            # Others may delete it again while it is made: a few times are no reason to give up.
             self.remake()
         with self.reading() as c:
             return question(c)
