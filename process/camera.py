@@ -88,14 +88,6 @@ def undistort_points(
     return np.where(good, x, np.nan), np.where(good, y, np.nan)
 
 
-def undistorted_pixels(
-    u_px: npt.ArrayLike, v_px: npt.ArrayLike, camera: Intrinsics
-) -> tuple[Floats, Floats]:
-    """Pixels as the ideal camera would see them: same focal lengths and centre, no skew."""
-    x, y = undistort_points(u_px, v_px, camera)
-    return camera.fx_px * x + camera.cx_px, camera.fy_px * y + camera.cy_px
-
-
 def ideal_camera(camera: Intrinsics) -> Intrinsics:
     """The camera that undistorted frames come from: no distortion, no skew, exact."""
     change: dict[str, Any] = {"skew": 0.0, "distortion": (0.0,) * 5}

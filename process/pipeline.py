@@ -25,7 +25,7 @@ from ..store import Archive
 from ..store.log_reader import LogFrame
 from ..store.plan import Plan, stage_records
 from .batches import columns_of, record_batches
-from .pairing import pair_frames
+from .pairing import LitFrame, pair_frames
 from .stages import FrameChain, PointChain, check_size
 from .workers import in_processes
 
@@ -118,6 +118,8 @@ def derive_scan(archive: Archive, plan: Plan, step: Callable[[int], None] | None
     if plan.done:
         return Outcome(plan.scan.scan)
     began = time.monotonic()
+    name = plan.calibration.calibration_id()
+    LOG.info("%s: calibration %s, %s", plan.scan.scan, name, plan.why_calibration)
     reasons = {kind: archive.why_missing(plan, kind) for kind in plan.missing}
     check_size(plan.calibration.intrinsics_or_fail(), plan.scan.width_px, plan.scan.height_px)
     stripes = plan.stripes or _derive_stripes(archive, plan, step)
@@ -172,6 +174,7 @@ def _derive_stripes(
 
     def parts() -> Iterator[dict[str, Any]]:
         for lit in pair_frames(items(), with_background=with_background):
+            _check_frame(plan.scan, lit)
             try:
                 found = chain.extract(lit.image, lit.lasers_on, lit.background)
             except (InputError, CalibrationError) as error:
@@ -191,6 +194,17 @@ def _derive_stripes(
         frames_without_stripe=lambda: tally.empty,
         warnings=tally.warnings,
     )
+
+
+def _check_frame(scan: ScanSummary, lit: LitFrame) -> None:
+    """A frame of another size than the scan's would be triangulated wrongly without a word."""
+    height, width = lit.image.shape[:2]
+    if (width, height) != (scan.width_px, scan.height_px):
+        raise InputError(
+            f"scan {scan.scan}, frame {lit.frame}: is {width} x {height}, the scan's first frame is "
+            f"{scan.width_px} x {scan.height_px}",
+            hint="a scan holds frames of one size: record or import the others as a scan of their own",
+        )
 
 
 def _stripe_columns(

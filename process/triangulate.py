@@ -36,10 +36,6 @@ class Rigid:
         """Points (..., 3) of the source space in the target space."""
         return points_mm @ self.rotation.T + self.translation_mm
 
-    def inverse(self) -> Rigid:
-        """source_from_target."""
-        return Rigid(self.rotation.T, -self.rotation.T @ self.translation_mm)
-
 
 def turntable_from_camera(axis: TurntableAxis) -> Rigid:
     """Camera space to turntable space."""

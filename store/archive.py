@@ -19,7 +19,7 @@ from ..schemas.archive_events import (
 )
 from ..schemas.calibration import Calibration
 from ..schemas.document import dump_json
-from ..schemas.errors import StorageError, TurnscanError
+from ..schemas.errors import CalibrationError, TurnscanError
 from ..schemas.ids import new_ulid
 from ..schemas.manifests import (
     ArchiveSettings,
@@ -326,8 +326,10 @@ class Archive:
         chosen = built_in_recipe(recipe) if isinstance(recipe, str) else recipe
         made = []
         for plan in self.plan(self.scans(where=where), chosen, choice):
+            if isinstance(plan, CalibrationError):
+                continue  # Nothing can have been derived without a calibration.
             if isinstance(plan, TurnscanError):
-                continue
+                raise plan
             manifest = plan.points if kind == "points" else plan.stripes
             if manifest is not None:
                 made.append(manifest)
@@ -338,15 +340,6 @@ class Archive:
     def rebuild_catalog(self) -> None:
         """Make catalog.sqlite again from the files."""
         rebuild(self.store, self.catalog)
-
-    def free_bytes(self) -> int:
-        """Room left on the archive's file system."""
-        import shutil
-
-        try:
-            return shutil.disk_usage(self.root).free
-        except OSError as error:
-            raise StorageError(f"{self.root}: {error.strerror}") from error
 
 
 def _ulid_after(text: str) -> str:

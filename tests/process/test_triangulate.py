@@ -106,15 +106,30 @@ def test_head_and_turn_decide_the_sign() -> None:
         assert scene_from_turntable(x, math.pi / 2, axis)[0] == pytest.approx(expected, abs=1e-12)
 
 
-def test_an_object_on_the_table_comes_back_to_where_it_was() -> None:
-    """A mark on a turning object, seen at several angles, is one point of the scene."""
-    axis = TurntableAxis(point_mm=(10.0, 30.0, 400.0), direction=(0.0, -0.8, -0.6))
+@pytest.mark.parametrize(
+    ("head", "turn", "sense"),
+    [
+        ("fixed", "counterclockwise", 1),
+        ("fixed", "clockwise", -1),
+        ("rotates", "counterclockwise", -1),
+        ("rotates", "clockwise", 1),
+    ],
+)
+def test_a_mark_seen_at_several_angles_is_one_point(head: str, turn: str, sense: int) -> None:
+    """``sense``: which way a mark of the scene moves in turntable space as the angle grows.
+
+    An object carries its marks with it; a turning head sees a standing mark move the other way.
+    """
+    axis = TurntableAxis(
+        point_mm=(10.0, 30.0, 400.0), direction=(0.0, -0.8, -0.6), head=head, positive_turn=turn
+    )
     table = turntable_from_camera(axis)
     mark = np.array([40.0, 15.0, 20.0])
     for angle in (0.0, 0.5, 3.0):
-        turned = scene_from_turntable(mark[None], -angle * axis.turn_sign() * axis.turn_sign(), axis)
-        seen = table.inverse()(turned)
-        assert scene_from_turntable(table(seen), angle, axis)[0] == pytest.approx(mark)
+        c, s = math.cos(sense * angle), math.sin(sense * angle)
+        moved = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ mark
+        seen = (moved - table.translation_mm) @ table.rotation  # turntable to camera space
+        assert scene_from_turntable(table(seen[None]), angle, axis)[0] == pytest.approx(mark)
 
 
 @settings(max_examples=50, deadline=None)
