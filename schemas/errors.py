@@ -91,6 +91,12 @@ class ConflictError(TurnscanError):
     slug = "conflict"
 
 
+class DeviceError(TurnscanError):
+    """A device (port, controller, laser, camera) does not answer, refuses, or answers wrongly."""
+
+    slug = "device"
+
+
 class ExtraMissingError(TurnscanError):
     """A format or feature needs an optional dependency that is not installed."""
 

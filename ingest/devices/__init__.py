@@ -1,0 +1,1 @@
+"""Devices: what a recording session asks of them (contracts), and the drivers that answer."""
