@@ -31,6 +31,7 @@ from .fixity import repair, verify
 from .importing import import_app
 from .output import Session, current_session, set_session
 from .recipes import recipe_app
+from .reporting import report_app
 from .scans import scan_app
 from .starting import init
 
@@ -59,6 +60,7 @@ app.command(
     epilog="Example: turnscan query 'SELECT frame, count(*) FROM points GROUP BY frame' --format csv"
 )(query)
 app.command(epilog="Example: turnscan export latest cloud.ply")(export)
+app.add_typer(report_app, name="report")
 app.command(epilog="Example: turnscan verify --json")(verify)
 app.command(epilog="Example: turnscan repair --dry-run")(repair)
 

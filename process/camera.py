@@ -12,12 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ..schemas.calibration import Intrinsics
+from .compiled import kernel
 
 Floats = npt.NDArray[np.float64]
 
 # Newton's steps to 1e-13 px are three for real lenses; the rest is for the far corners of strong ones.
 _STEPS = 20
-_CONVERGED = 1e-14
+_CONVERGED, _LAST_STEP = 1e-14, 1e-7
+#: Near the fold of the model the steps say little: there, all is looked at point by point.
+_FLAT = 0.05
 
 
 def distort(xn: npt.ArrayLike, yn: npt.ArrayLike, camera: Intrinsics) -> tuple[Floats, Floats]:
@@ -65,27 +68,81 @@ def undistort_points(
     single ray belongs to the pixel.
     """
     u, v = np.broadcast_arrays(np.asarray(u_px, np.float64), np.asarray(v_px, np.float64))
-    yd = (v - camera.cy_px) / camera.fy_px
-    xd = (u - camera.cx_px) / camera.fx_px - camera.skew * yd
-    if not any(camera.distortion):
-        return xd.copy(), yd.copy()
-    x, y = xd.copy(), yd.copy()
-    with np.errstate(all="ignore"):
-        for _ in range(_STEPS):
-            ex, ey = distort(x, y, camera)
-            ex, ey = ex - xd, ey - yd
-            xx, xy, yy = distortion_jacobian(x, y, camera)
-            det = xx * yy - xy * xy
-            dx, dy = (yy * ex - xy * ey) / det, (xx * ey - xy * ex) / det
-            x, y = x - dx, y - dy
-            step = np.abs(dx) + np.abs(dy)
-            if not step.size or np.nanmax(step, initial=0.0) < _CONVERGED:
-                break
-        ex, ey = distort(x, y, camera)
-        xx, xy, yy = distortion_jacobian(x, y, camera)
+    shape = u.shape
+    x, y = np.empty(u.size, np.float64), np.empty(u.size, np.float64)
+    _undistort(np.ravel(u), np.ravel(v), _numbers(camera), x, y)
+    return x.reshape(shape), y.reshape(shape)
+
+
+def _numbers(camera: Intrinsics) -> tuple[float, ...]:
+    """fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, as the kernels take them."""
+    focal = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
+    return (*(float(n) for n in focal), float(camera.skew), *(float(n) for n in camera.distortion))
+
+
+@kernel
+def _undistort(u: Floats, v: Floats, camera: tuple[float, ...], x: Floats, y: Floats) -> None:
+    fx, fy, cx, cy, skew, k1, k2, p1, p2, k3 = camera
+    n = len(u)
+    bad = 0
+    # Three steps for all, without a branch, so that the loop is vectorised; what needs more comes after.
+    for i in range(n):
+        yd = (v[i] - cy) / fy
+        xd = (u[i] - cx) / fx - skew * yd
+        da, db, det, xx = _newton(xd, yd, xd, yd, k1, k2, p1, p2, k3)
+        a, b = xd - da, yd - db
+        da, db, det, xx = _newton(a, b, xd, yd, k1, k2, p1, p2, k3)
+        a, b = a - da, b - db
+        da, db, det, xx = _newton(a, b, xd, yd, k1, k2, p1, p2, k3)
+        a, b = a - da, b - db
+        x[i] = a
+        y[i] = b
+        # Steps shrink as their squares: after one this small nothing is left. NaN compares as bad.
+        good = (abs(da) + abs(db) < _LAST_STEP) & (det > _FLAT) & (xx > _FLAT)
+        bad += 0 if good else 1
+    if bad == 0:
+        return
+    for i in range(n):
+        yd = (v[i] - cy) / fy
+        xd = (u[i] - cx) / fx - skew * yd
+        a, b = xd, yd
+        steps = 0
+        da, db, det, xx = _newton(a, b, xd, yd, k1, k2, p1, p2, k3)
+        while abs(da) + abs(db) > _CONVERGED and steps < _STEPS:
+            a -= da
+            b -= db
+            da, db, det, xx = _newton(a, b, xd, yd, k1, k2, p1, p2, k3)
+            steps += 1
         # Beyond the fold the determinant is negative: a root there is another branch, not the ray.
-        good = (np.abs(ex - xd) + np.abs(ey - yd) < 1e-12) & (xx * yy - xy * xy > 0) & (xx > 0)
-    return np.where(good, x, np.nan), np.where(good, y, np.nan)
+        good = abs(da) + abs(db) < 1e-12 and det > 0.0 and xx > 0.0
+        x[i] = a - da if good else np.nan
+        y[i] = b - db if good else np.nan
+
+
+@kernel
+def _newton(
+    x: float,
+    y: float,
+    xd: float,
+    yd: float,
+    k1: float,
+    k2: float,
+    p1: float,
+    p2: float,
+    k3: float,
+) -> tuple[float, float, float, float]:
+    """Newton's step towards the ideal point of (xd, yd), the Jacobian's determinant and first element."""
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+    ex = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - xd
+    ey = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - yd
+    xx = radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+    xy = x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+    yy = radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+    det = xx * yy - xy * xy
+    scale = 1.0 / det
+    return (yy * ex - xy * ey) * scale, (xx * ey - xy * ex) * scale, det, xx
 
 
 def ideal_camera(camera: Intrinsics) -> Intrinsics:

@@ -13,10 +13,9 @@ from ..schemas.errors import CalibrationError, InputError
 from ..schemas.recipe import Denoise, Extract, Grey, Recipe, Triangulate, Undistort
 from .camera import ideal_camera, undistort_points
 from .denoise import denoise
-from .extract import extract_stripe
-from .extract.search import noise_dn
+from .extract import extract_stripe, noise_of
 from .grey import to_grey
-from .triangulate import intersect, range_of, scene_from_turntable, turntable_from_camera
+from .triangulate import scene_points
 from .uncertainty import sigma_range_mm
 from .undistort import FrameUndistorter
 
@@ -87,7 +86,7 @@ class FrameChain:
                 "colour frames, and the recipe has no grey stage",
                 hint='add [[stages]] stage = "grey" to the recipe',
             )
-        return denoise(image, self._denoise), noise_dn(image)
+        return denoise(image, self._denoise), noise_of(image)
 
 
 def _windows(step: Extract, lasers_on: tuple[int, ...]) -> list[tuple[int, int, int | None]]:
@@ -134,34 +133,35 @@ class PointChain:
         along = stripes["u_px"].astype(np.float64)
         across = stripes["row"].astype(np.float64)
         u, v = (across, along) if self._horizontal else (along, across)
-        p = np.full((len(u), 3), np.nan)
-        sigma = np.full(len(u), np.nan)
         xn, yn = undistort_points(u, v, self._camera)
-        for laser in np.unique(stripes["laser"]):
-            mine = stripes["laser"] == laser
-            plane = self._calibration.plane_or_fail(int(laser))
-            p[mine] = intersect(xn[mine], yn[mine], plane)
+        sigma_px = stripes["sigma_u_px"].astype(np.float64)
+        laser = stripes["laser"]
+        xyz, distance, sigma = np.empty((3, len(u))), np.empty(len(u)), np.empty(len(u))
+        lasers = np.unique(laser)
+        for number in lasers:
+            plane = self._calibration.plane_or_fail(int(number))
+            mine = slice(None) if len(lasers) == 1 else laser == number
+            xyz[:, mine], distance[mine] = scene_points(
+                xn[mine], yn[mine], stripes["angle_rad"][mine], plane, self._axis
+            )
             sigma[mine] = sigma_range_mm(
                 u[mine],
                 v[mine],
-                stripes["sigma_u_px"][mine].astype(np.float64),
+                sigma_px[mine],
                 along_v=self._horizontal,
                 camera=self._camera,
                 plane=plane,
             )
-        distance = range_of(p)
-        turned = turntable_from_camera(self._axis)(p)
-        scene = scene_from_turntable(turned, stripes["angle_rad"].astype(np.float64), self._axis)
-        keep = np.isfinite(scene).all(axis=1) & (distance >= self._step.min_range_mm)
+        keep = np.isfinite(distance) & (distance >= self._step.min_range_mm)
         if self._step.max_range_mm is not None:
             keep &= distance <= self._step.max_range_mm
         if self._step.max_radius_mm is not None:
-            keep &= np.hypot(scene[:, 0], scene[:, 1]) <= self._step.max_radius_mm
+            keep &= np.hypot(xyz[0], xyz[1]) <= self._step.max_radius_mm
         self.dropped += int(len(keep) - keep.sum())
         made = {
-            "x_mm": scene[:, 0],
-            "y_mm": scene[:, 1],
-            "z_mm": scene[:, 2],
+            "x_mm": xyz[0],
+            "y_mm": xyz[1],
+            "z_mm": xyz[2],
             "range_mm": distance,
             "sigma_range_mm": sigma,
         }

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from ..schemas.calibration import LaserPlane, TurntableAxis
+from .compiled import kernel
 
 Floats = npt.NDArray[np.float64]
 
@@ -54,3 +56,65 @@ def scene_from_turntable(points_mm: Floats, angle_rad: npt.ArrayLike, axis: Turn
 def range_of(points_camera_mm: Floats) -> Floats:
     """Distance of points in camera space from the camera's centre."""
     return np.sqrt(np.einsum("...i,...i->...", points_camera_mm, points_camera_mm))
+
+
+def scene_points(
+    xn: Floats, yn: Floats, angle_rad: npt.NDArray[np.floating], plane: LaserPlane, axis: TurntableAxis
+) -> tuple[Floats, Floats]:
+    """Scene points (3, N) and their range (N,) in mm from ideal rays (xn, yn, 1): all of the above at once.
+
+    NaN for a ray along the laser plane, or one that meets it behind the camera.
+    """
+    rotation = turntable_from_camera(axis)
+    xyz, distance = np.empty((3, len(xn)), np.float64), np.empty(len(xn), np.float64)
+    _scene_points(
+        xn,
+        yn,
+        np.asarray(angle_rad, np.float64),
+        (*(float(n) for n in plane.normal), float(plane.distance_mm)),
+        rotation.rotation,
+        rotation.translation_mm,
+        float(axis.turn_sign()),
+        xyz,
+        distance,
+    )
+    return xyz, distance
+
+
+@kernel
+def _scene_points(
+    xn: Floats,
+    yn: Floats,
+    angle_rad: Floats,
+    plane: tuple[float, float, float, float],
+    rotation: Floats,
+    translation_mm: Floats,
+    sign: float,
+    xyz: Floats,
+    distance: Floats,
+) -> None:
+    n = len(xn)
+    nx, ny, nz, h = plane
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    t0, t1, t2 = translation_mm[0], translation_mm[1], translation_mm[2]
+    cos, sin = np.empty(n, np.float64), np.empty(n, np.float64)
+    last, c, s = np.nan, 1.0, 0.0
+    for i in range(n):
+        # The points of one frame follow each other and share its angle.
+        if angle_rad[i] != last:
+            last = angle_rad[i]
+            c, s = math.cos(sign * last), math.sin(sign * last)
+        cos[i], sin[i] = c, s
+    for i in range(n):
+        x, y = xn[i], yn[i]
+        depth = h / (nx * x + ny * y + nz)
+        depth = depth if (depth > 0.0) & (depth < np.inf) else np.nan
+        distance[i] = depth * math.sqrt(x * x + y * y + 1.0)
+        a, b = depth * x, depth * y
+        tx = r00 * a + r01 * b + r02 * depth + t0
+        ty = r10 * a + r11 * b + r12 * depth + t1
+        xyz[0, i] = cos[i] * tx - sin[i] * ty
+        xyz[1, i] = sin[i] * tx + cos[i] * ty
+        xyz[2, i] = r20 * a + r21 * b + r22 * depth + t2

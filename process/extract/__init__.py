@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import importlib
+from functools import cache
 from typing import Any, Final
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from ...schemas.errors import InputError, UsageError
-from ...schemas.tables import Flag
-from .argmax import argmax
-from .centroid import centroid
-from .search import FWHM, Floats, Stripes, find_stripes, half_width_px, noise_dn
-from .varied_boundary import varied_boundary
+from ...schemas.recipe import METHOD_VERSIONS
 
-__all__ = ["METHODS", "STRIPE_DTYPE", "extract_stripe"]
+__all__ = ["METHODS", "STRIPE_DTYPE", "extract_stripe", "noise_of"]
 
 #: What extract_stripe returns for each stripe point; names and units as in STRIPES.
 STRIPE_DTYPE: Final = np.dtype(
@@ -30,22 +28,17 @@ STRIPE_DTYPE: Final = np.dtype(
     ]
 )
 
-#: Below this ratio of amplitude to noise the centre is called weak, and below the other there is none,
-#: whatever base_dn says: 30 DN are much in 8 bits and little in 16.
-_WEAK, _LEAST = 8.0, 4.0
+METHODS: Final = tuple(METHOD_VERSIONS)
+CHOICES: Final = ("brightest", "first", "nearest", "continuous")
 
-_Result = tuple[Floats, Floats, Floats | None]
-_METHODS: Final[dict[str, Callable[[Stripes, float, float], _Result]]] = {
-    "argmax": lambda s, noise, _: (*argmax(s, noise), None),
-    "centroid": lambda s, noise, _: (*centroid(s, noise), None),
-    "varied-boundary": varied_boundary,
-}
-METHODS: Final = tuple(_METHODS)
+#: Below this ratio of amplitude to noise there is no stripe, whatever base_dn says: 30 DN are much in
+#: 8 bits and little in 16.
+_LEAST = 4.0
 
 
 def extract_stripe(
     frame: npt.NDArray[Any],
-    method: str = "varied-boundary",
+    method: str = "fused",
     *,
     orientation: str = "vertical",
     background: npt.NDArray[Any] | None = None,
@@ -55,15 +48,19 @@ def extract_stripe(
     from_px: int = 0,
     to_px: int | None = None,
     noise: float | None = None,
+    choice: str = "brightest",
+    expected_px: float | npt.NDArray[np.float64] | None = None,
+    pool_rows: int = 1,
 ) -> npt.NDArray[Any]:
     """Stripe centres of one grey frame: one point in each row (column) that holds a stripe.
 
     Parameters
     ----------
     frame
-        (H, W), uint8 or uint16, grey values in DN.
+        (H, W), uint8, uint16 or floating point, grey values in DN.
     method
-        ``argmax``, ``centroid`` or ``varied-boundary`` (the paper's).
+        One of :data:`METHODS`: ``fused`` (ours), ``varied-boundary`` (the paper's) and the others that
+        it names.
     orientation
         ``vertical``: one centre a row, along u; ``horizontal``: one a column, along v.
     background
@@ -72,13 +69,24 @@ def extract_stripe(
         Gbase: what is not higher than this (or than 4 times the noise) above its local background is
         no stripe.
     max_width_px
-        Half of the window about the peak that a row's samples are taken from.
+        Widest stripe, as a Gaussian standard deviation; and half of the window about the peak that the
+        other methods take their samples from.
     saturation_dn
-        Level from which samples count as clipped; the full scale of the type by default.
+        Level from which samples count as clipped. By default one below the full scale of the type; in
+        16 bit frames of the least of 10, 12, 14 and 16 bits that holds the brightest sample; for
+        floating point nothing is clipped.
     from_px, to_px
         Where along the row (column) the stripe may lie, half-open.
     noise
         Standard deviation of a pixel's noise in DN; estimated from the frame by default.
+    choice
+        Which stripe of a row with several: the ``brightest``, the ``first`` (least u), the ``nearest`` to
+        ``expected_px``, or the one that goes on ``continuous`` along the stripe.
+    expected_px
+        Where the stripe is expected, one value or one for each row; for ``choice = "nearest"``.
+    pool_rows
+        1, or 3: the centre is the mean of three neighbouring rows where they lie on a line. Its deviation
+        is smaller by sqrt(3), and neighbouring points are then correlated.
 
     Returns
     -------
@@ -91,67 +99,141 @@ def extract_stripe(
     InputError
         The frame or the background cannot be what they should be.
     UsageError
-        There is no such method or orientation.
+        There is no such method, orientation or choice, or a number is out of its range.
     """
-    _check(frame, "frame")
-    if method not in _METHODS:
-        raise UsageError(f"no extraction method {method!r}; there are: {', '.join(METHODS)}")
-    if orientation not in ("vertical", "horizontal"):
-        raise UsageError(f"orientation is {orientation!r}, expected vertical or horizontal")
+    _check_words(method, orientation, choice, expected_px is not None, pool_rows, base_dn, max_width_px)
+    frame = _checked(frame, "frame")
+    if orientation == "horizontal":
+        frame = cv2.transpose(frame)
     if background is not None:
-        _check(background, "background frame")
+        background = _checked(background, "background frame")
+        if orientation == "horizontal":
+            background = cv2.transpose(background)
         if background.shape != frame.shape or background.dtype != frame.dtype:
             raise InputError(
                 f"the background frame is {background.shape} {background.dtype}, the frame "
                 f"{frame.shape} {frame.dtype}",
                 hint="both must come from the same camera with the same settings",
             )
-    if orientation == "horizontal":
-        frame = np.ascontiguousarray(frame.T)
-        background = None if background is None else np.ascontiguousarray(background.T)
-    if saturation_dn is None:
-        saturation_dn = float(np.iinfo(frame.dtype).max)
+    stop = frame.shape[1] if to_px is None else min(to_px, frame.shape[1])
+    if not 0 <= from_px < stop:
+        raise InputError(
+            f"the search window from {from_px} to {stop} px holds nothing of a frame of "
+            f"{frame.shape[1]} px",
+            hint="correct extract.windows in the recipe",
+        )
+    clip_dn = _clip_level(frame, saturation_dn)
     if noise is None:
-        noise = noise_dn(frame)
+        noise = noise_of(frame)
+    signal = frame
     if background is not None:
-        noise *= np.sqrt(2.0)
-    stripes = find_stripes(
-        frame,
-        background,
-        base_dn=max(base_dn, _LEAST * noise),
-        max_width_px=max_width_px,
-        saturation_dn=saturation_dn,
-        from_px=from_px,
-        to_px=to_px,
-    )
-    centre, sigma, width = _METHODS[method](stripes, noise, base_dn)
-    out = np.zeros(len(centre), STRIPE_DTYPE)
-    out["row"], out["u_px"], out["sigma_u_px"] = stripes.row, centre, sigma
-    out["amplitude_dn"], out["background_dn"] = stripes.amplitude_dn, stripes.background_dn
-    out["width_px"] = half_width_px(stripes) / FWHM if width is None else width
-    out["flags"] = _flags(stripes, noise)
-    return out[np.isfinite(centre)]
+        noise *= _SQRT_2
+        # Signed on purpose: clipping at zero would bend the noise about the stripe.
+        signal = cv2.subtract(frame, background, dtype=_SIGNED[frame.dtype.char])
+    base_dn = max(base_dn, _LEAST * noise)
+    peaks = _peaks(signal, from_px, stop, base_dn, choice, expected_px)
+    limits = (from_px, stop, base_dn, max_width_px)
+    out = np.empty(frame.shape[0], STRIPE_DTYPE)
+    name = method.replace("-", "_")
+    count = _function(name, name)(signal, frame, peaks, limits, noise, clip_dn, out)
+    points = out[:count]
+    if pool_rows == 3:
+        points = _function("pooling", "pooled")(points)
+    return points
 
 
-def _flags(stripes: Stripes, noise: float) -> npt.NDArray[np.uint16]:
-    flags = np.zeros(len(stripes.row), np.uint16)
-    flags[(stripes.clipped & stripes.run).any(axis=1)] |= np.uint16(Flag.SATURATED)
-    # The run touches a border when the sample beside it lies outside, or the window ends there.
-    beside = np.zeros_like(stripes.run)
-    beside[:, 1:] |= stripes.run[:, :-1]
-    beside[:, :-1] |= stripes.run[:, 1:]
-    ends = stripes.run[:, [0, -1]].any(axis=1) if stripes.run.size else np.zeros(0, np.bool_)
-    flags[(beside & ~stripes.inside).any(axis=1) | ends] |= np.uint16(Flag.EDGE)
-    flags[stripes.amplitude_dn < _WEAK * noise] |= np.uint16(Flag.WEAK)
-    flags[stripes.second] |= np.uint16(Flag.SECOND)
-    return flags
+_SQRT_2: Final = 2.0**0.5
+_SIGNED: Final = {"B": cv2.CV_16S, "H": cv2.CV_32S, "f": cv2.CV_32F, "d": cv2.CV_64F}
 
 
-def _check(frame: npt.NDArray[Any], what: str) -> None:
+def noise_of(frame: npt.NDArray[Any]) -> float:
+    """Standard deviation of the noise of single pixels of a frame (H, W), in DN."""
+    return float(_function("noise", "noise_dn")(frame))
+
+
+@cache
+def _function(module: str, name: str) -> Any:
+    """A function of this package; what it needs is loaded, or compiled, when it is first asked for."""
+    return getattr(importlib.import_module(f".{module}", __name__), name)
+
+
+def _peaks(
+    signal: npt.NDArray[Any],
+    from_px: int,
+    to_px: int,
+    base_dn: float,
+    choice: str,
+    expected_px: float | npt.NDArray[np.float64] | None,
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    if choice == "brightest":
+        return _function("search", "find_peaks")(signal, from_px, to_px, base_dn)
+    choose = _function("choice", "choose_peaks")
+    return choose(signal, from_px, to_px, base_dn, choice, expected_px)
+
+
+def _clip_level(frame: npt.NDArray[Any], asked: float | None) -> float:
+    if frame.dtype.kind == "f":
+        return float("inf") if asked is None else float(asked)
+    full = 255 if frame.dtype == np.uint8 else 65535
+    if asked is None:
+        if frame.dtype == np.uint16:
+            # Cameras of 10, 12 and 14 bits clip far below the type's own limit.
+            brightest = int(frame.max())
+            full = next(level for level in (1023, 4095, 16383, 65535) if brightest <= level)
+        # Noise and rounding take a clipped sample one step down.
+        return full - 1.0
+    if not 0.0 < asked <= full:
+        raise InputError(
+            f"saturation_dn is {asked:g}, the frame is {frame.dtype} with a full scale of {full}",
+            hint="give the level in DN of these frames, or leave it out",
+        )
+    return float(asked)
+
+
+def _check_words(
+    method: str,
+    orientation: str,
+    choice: str,
+    expected: bool,  # noqa: FBT001
+    pool_rows: int,
+    base_dn: float,
+    max_width_px: float,
+) -> None:
+    if method not in METHODS:
+        raise UsageError(f"no extraction method {method!r}; there are: {', '.join(METHODS)}")
+    if orientation not in ("vertical", "horizontal"):
+        raise UsageError(f"orientation is {orientation!r}, expected vertical or horizontal")
+    if choice not in CHOICES:
+        raise UsageError(f"choice is {choice!r}, expected one of: {', '.join(CHOICES)}")
+    if (choice == "nearest") != expected:
+        raise UsageError(
+            'expected_px and choice = "nearest" go together', hint="give both or neither"
+        )
+    if pool_rows not in (1, 3):
+        raise UsageError(f"pool_rows is {pool_rows}, expected 1 or 3")
+    if not base_dn >= 0.0:
+        raise UsageError(f"base_dn is {base_dn}, expected a number from 0")
+    if not 0.0 < max_width_px <= 400.0:
+        raise UsageError(f"max_width_px is {max_width_px}, expected a number up to 400")
+
+
+def _checked(frame: npt.NDArray[Any], what: str) -> npt.NDArray[Any]:
+    """``frame``, contiguous; or an InputError that says what is wrong with it."""
+    if not isinstance(frame, np.ndarray):
+        raise InputError(f"the {what} is {type(frame).__name__}, expected an array (H, W)")
     if frame.ndim != 2 or frame.size == 0:
         raise InputError(
             f"the {what} has shape {frame.shape}, expected (H, W)",
             hint="convert colour frames first (stage grey)",
         )
-    if frame.dtype not in (np.uint8, np.uint16):
-        raise InputError(f"the {what} is {frame.dtype}, expected uint8 or uint16")
+    if frame.shape[0] > 65535 or frame.shape[1] > 65535:
+        raise InputError(f"the {what} has shape {frame.shape}; rows and columns go up to 65535")
+    if frame.dtype.char not in _SIGNED:
+        raise InputError(f"the {what} is {frame.dtype}, expected uint8, uint16 or floating point")
+    if frame.dtype.kind == "f" and not np.isfinite(frame).all():
+        row, column = np.argwhere(~np.isfinite(frame))[0]
+        raise InputError(
+            f"the {what} holds {frame[row, column]} in row {row}, column {column}, expected numbers",
+            hint="replace what is missing before extraction",
+        )
+    return np.ascontiguousarray(frame)

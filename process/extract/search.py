@@ -1,221 +1,344 @@
-"""Find the stripe in each row: its peak, its surroundings, and whether it is one at all.
+"""Where the stripe is in each row: the first, coarse step of every method.
 
-Frames are given with the stripe across the rows (vertical); a horizontal one is transposed before.
-Everything is done for all rows at once on short windows about the peaks.
+The score of a pixel is the least of itself and its two vertical neighbours: a hot pixel has dark ones,
+a stripe does not. Where a stripe ends, jumps or runs steeply its own neighbours are dark as well; there
+the least of two horizontal neighbours tells it from a hot pixel, and a stripe close by in a row above
+or below confirms it. Frames are given with the stripe across the rows (vertical).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ...schemas.errors import InputError
+from ..compiled import inlined, kernel
 
-Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
+Counts = npt.NDArray[np.uint16]
 
-#: Share of its height above which samples belong to a stripe. Lower, and a glow beside the stripe pulls
-#: the centre; higher, and so few samples are left that the centre moves with its place in the pixel
-#: (0.045 px at 0.5 for a stripe 1.8 px wide, 0.018 px here).
-RUN_LEVEL = 0.3
-#: Width at half height of a Gaussian, in standard deviations.
-FWHM = 2.0 * np.sqrt(2.0 * np.log(2.0))
+#: Columns of one block of the search: the best score of each block is kept.
+_BLOCK = 64
+#: A vertical score is believed at once when it is at least this share of what the row above showed;
+#: else, or where it is below the threshold, the row is searched for a steep stripe or an end as well.
+_AGREES = 0.5
 #: A second stripe is reported when it is at least this bright, relative to the first.
 _SECOND = 0.5
-#: Width of the box that the brightest place is searched with: a stripe outshines a hot pixel.
-_BOX = 5
+#: Half the width about the brightest place that belongs to the same stripe, in px.
+_OWN = 16
+#: How often the next brightest place is tried when the brightest is a hot pixel.
+_TRIES = 6
 
 
-@dataclass(frozen=True)
-class Stripes:
-    """Rows with a stripe, and the samples about each peak.
+@kernel
+def find_peaks(
+    signal: npt.NDArray[Any], from_px: int, to_px: int, base_dn: float
+) -> tuple[Ints, npt.NDArray[np.bool_]]:
+    """The brightest stripe of each row: its rough position (H,), -1 for none; and whether there is a second.
 
-    ``samples`` is (N, 2 K + 1): grey values (less the laser-off frame) at ``left + j``; where
-    ``inside`` is False the window reaches over the frame's or the search window's border. ``run`` marks
-    the samples that belong to the stripe: the unbroken stretch about the peak above RUN_LEVEL of its
-    height.
-    ``clipped`` marks those at or above the saturation level.
+    ``signal`` is (H, W); columns [from_px, to_px) are looked at; what is not half of ``base_dn`` above
+    the darkest block of its row is no stripe.
     """
-
-    row: Ints
-    left: Ints
-    peak: Ints
-    samples: Floats
-    inside: npt.NDArray[np.bool_]
-    run: npt.NDArray[np.bool_]
-    clipped: npt.NDArray[np.bool_]
-    background_dn: Floats
-    amplitude_dn: Floats
-    second: npt.NDArray[np.bool_]
-
-    def positions(self) -> Floats:
-        """Pixel position of every sample, relative to its row's peak: (N, 2 K + 1)."""
-        return (self.left - self.peak)[:, None] + np.arange(self.samples.shape[1], dtype=np.float64)
-
-    def select(self, keep: npt.NDArray[np.bool_]) -> Stripes:
-        """The rows where ``keep`` is True."""
-        return Stripes(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
-
-
-def find_stripes(
-    frame: npt.NDArray[Any],
-    background: npt.NDArray[Any] | None,
-    *,
-    base_dn: float,
-    max_width_px: float,
-    saturation_dn: float,
-    from_px: int = 0,
-    to_px: int | None = None,
-) -> Stripes:
-    """The brightest stripe of each row whose height above its surroundings exceeds ``base_dn``.
-
-    ``frame`` is (H, W), uint8 or uint16; ``background`` the laser-off frame or None; the search is
-    limited to columns [from_px, to_px). The local background is the median of the samples within
-    ``max_width_px`` of the peak.
-    """
-    stop = frame.shape[1] if to_px is None else min(to_px, frame.shape[1])
-    if from_px >= stop:
-        raise InputError(
-            f"the search window from {from_px} to {stop} px holds nothing of a frame of "
-            f"{frame.shape[1]} px",
-            hint="correct extract.windows in the recipe",
-        )
-    area = frame[:, from_px:stop]
-    if background is None:
-        signal: npt.NDArray[Any] = area
-    else:
-        # Signed on purpose: clipping at zero would bend the noise about the stripe.
-        signal = cv2.subtract(area, background[:, from_px:stop], dtype=cv2.CV_32F)
-    score = cv2.blur(signal, (_BOX, 1), borderType=cv2.BORDER_REPLICATE)
-    rows = np.arange(frame.shape[0])
-    peak = score.argmax(axis=1)
-    best = score[rows, peak].astype(np.float64)
-    # Most rows of most frames hold nothing: leave them out before anything is gathered.
-    floor = _median(score[:, :: max(1, score.shape[1] // 64)])
-    found = np.flatnonzero(best - floor > 0.5 * base_dn)
-    half = int(np.ceil(max_width_px))
-    stripes = _gather(signal, area, found, peak[found], half, saturation_dn)
-    keep = stripes.amplitude_dn > base_dn
-    second = _second(score, found, peak[found], best[found], stripes.background_dn, half)
-    stripes = Stripes(**{**stripes.__dict__, "second": second}).select(keep)
-    shifted = {"left": stripes.left + from_px, "peak": stripes.peak + from_px}
-    return Stripes(**{**stripes.__dict__, **shifted})
+    height = signal.shape[0]
+    peak = np.full(height, -1, np.int64)
+    second = np.zeros(height, np.bool_)
+    best = _score_pairs(signal, from_px, to_px)
+    lowest, highest, brightest, bright = _rank(best)
+    before_dn, before = 0.0, -1
+    for row in range(height):
+        pair = row >> 1
+        above, below = max(row - 1, 0), min(row + 1, height - 1)
+        # The floor is the best score of the darkest block, so a little noise above the background.
+        floor, top = float(lowest[pair]), float(highest[pair])
+        found = -1
+        if top - floor >= max(base_dn, _AGREES * before_dn) and height > 1:
+            first = from_px + int(brightest[pair]) * _BLOCK
+            found = _position(signal, above, row, below, first, to_px, top, floor, before)
+        if found < 0:
+            found, top = _search_row(signal, above, row, below, from_px, to_px, floor, 0.5 * base_dn)
+        if found < 0:
+            before_dn, before = 0.0, -1
+            continue
+        peak[row] = before = found
+        before_dn = max(float(signal[row, found]), top) - floor
+        level = floor + _SECOND * (top - floor)
+        own = 0
+        near_first = (max(found - _OWN, from_px) - from_px) // _BLOCK
+        near_last = (min(found + _OWN, to_px - 1) - from_px) // _BLOCK
+        for b in range(near_first, near_last + 1):
+            own += best[b, pair] > level
+        if bright[pair] > own or _bright_beside(signal, row, from_px, to_px, found, level):
+            second[row] = _elsewhere(signal, above, row, below, from_px, to_px, found, level)
+    return peak, second
 
 
-def _gather(
-    signal: npt.NDArray[Any],
-    area: npt.NDArray[Any],
-    row: Ints,
-    peak: Ints,
-    half: int,
-    saturation_dn: float,
-) -> Stripes:
-    width = signal.shape[1]
-    columns = peak[:, None] + np.arange(-half, half + 1)
-    inside = (columns >= 0) & (columns < width)
-    clamped = np.clip(columns, 0, width - 1)
-    raw = signal[row[:, None], clamped]
-    clipped = (raw if signal is area else area[row[:, None], clamped]) >= saturation_dn
-    clipped &= inside
-    samples = raw.astype(np.float64)
-    background = _masked_median(raw, inside)
-    # The peak is that of a box: the summit, the brightest sample itself, is not far.
-    first = max(0, half - _BOX // 2)
-    near = slice(first, half + _BOX // 2 + 1)
-    top = np.where(inside[:, near], samples[:, near], -np.inf)
-    summit = top.argmax(axis=1) + first
-    amplitude = samples[np.arange(len(row)), summit] - background
-    above = inside & (samples - background[:, None] > RUN_LEVEL * amplitude[:, None])
-    run = _stretch(above, summit)
-    return Stripes(
-        row=row,
-        left=columns[:, 0],
-        peak=peak + summit - half,
-        samples=samples,
-        inside=inside,
-        run=run,
-        clipped=clipped,
-        background_dn=background,
-        amplitude_dn=amplitude,
-        second=np.zeros(len(row), np.bool_),
-    )
-
-
-def _median(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """``np.median(values, axis=1)``, faster: short rows of small integers are best sorted."""
-    # NumPy's vectorised sorts begin at 16 bits: bytes take ten times as long.
-    ordered = np.sort(values.astype(np.uint16) if values.dtype == np.uint8 else values, axis=1)
-    n = ordered.shape[1]
-    return ordered[:, n // 2] if n % 2 else ordered[:, n // 2 - 1 : n // 2 + 1].mean(axis=1)
-
-
-def _masked_median(samples: npt.NDArray[Any], inside: npt.NDArray[np.bool_]) -> Floats:
-    """Median of the samples of each row that are inside."""
-    out = _median(samples).astype(np.float64)
-    cut = np.flatnonzero(~inside.all(axis=1))
-    for i in cut:
-        out[i] = np.median(samples[i, inside[i]].astype(np.float64))
+@kernel
+def _score_pairs(signal: npt.NDArray[Any], from_px: int, to_px: int) -> npt.NDArray[Any]:
+    """Best of the lesser of two rows, in every block of columns of every pair of rows: (blocks, pairs)."""
+    height = signal.shape[0]
+    blocks = (to_px - from_px + _BLOCK - 1) // _BLOCK
+    out = np.empty((blocks, (height + 1) // 2), signal.dtype)
+    for pair in range(out.shape[1]):
+        # An odd last row goes with the one above it.
+        row = min(2 * pair, max(height - 2, 0))
+        here, under = signal[row], signal[min(row + 1, height - 1)]
+        for b in range(blocks):
+            # Unsigned indices and plain comparisons: a signed index could count from the end, and then
+            # nothing is vectorised. A last block that is short overlaps the one before.
+            first = np.uintp(max(min(from_px + b * _BLOCK, to_px - _BLOCK), from_px))
+            top = here[first]
+            top = top if top < under[first] else under[first]
+            if to_px - from_px >= _BLOCK:
+                for j in range(_BLOCK):
+                    one, other = here[first + np.uintp(j)], under[first + np.uintp(j)]
+                    least = one if one < other else other
+                    top = least if least > top else top
+            else:
+                for j in range(to_px - from_px):
+                    least = min(here[first + np.uintp(j)], under[first + np.uintp(j)])
+                    top = least if least > top else top
+            out[b, pair] = top
     return out
 
 
-def _stretch(above: npt.NDArray[np.bool_], summit: Ints) -> npt.NDArray[np.bool_]:
-    """The unbroken stretch of True about ``summit`` in each row; none where that is False."""
-    # No gap lies between two samples when as many gaps are counted up to the one as to the other.
-    gaps = np.cumsum(~above, axis=1, dtype=np.int16)
-    stretch: npt.NDArray[np.bool_] = above & (gaps == gaps[np.arange(len(gaps)), summit][:, None])
-    return stretch
+@kernel
+def _rank(
+    best: npt.NDArray[Any],
+) -> tuple[npt.NDArray[Any], npt.NDArray[Any], Counts, Counts]:
+    """Of every pair of rows: least and best score of a block, which is the best, and how many are bright."""
+    blocks, pairs = best.shape
+    lowest, highest = best[0].copy(), best[0].copy()
+    for b in range(1, blocks):
+        line = best[b]
+        for i in range(pairs):
+            value = line[i]
+            lowest[i] = value if value < lowest[i] else lowest[i]
+            highest[i] = value if value > highest[i] else highest[i]
+    brightest, bright = np.zeros(pairs, np.uint16), np.zeros(pairs, np.uint16)
+    level = np.empty(pairs, best.dtype)
+    for i in range(pairs):
+        low, high = float(lowest[i]), float(highest[i])
+        level[i] = low + _SECOND * (high - low)
+    for b in range(blocks - 1, -1, -1):
+        line = best[b]
+        number = np.uint16(b)
+        for i in range(pairs):
+            brightest[i] = number if line[i] == highest[i] else brightest[i]
+            bright[i] += np.uint16(1) if line[i] > level[i] else np.uint16(0)
+    return lowest, highest, brightest, bright
 
 
-def _second(
-    score: npt.NDArray[Any], row: Ints, peak: Ints, best: Floats, background: Floats, half: int
-) -> npt.NDArray[np.bool_]:
-    """Whether a place outside the stripe's own window is nearly as bright."""
-    rest = score[row]
-    columns = np.clip(peak[:, None] + np.arange(-half, half + 1), 0, score.shape[1] - 1)
-    # Nothing is darker than a black pixel, and black is never nearly as bright as a stripe.
-    rest[np.arange(len(row))[:, None], columns] = 0 if rest.dtype.kind == "u" else -np.inf
-    other: npt.NDArray[np.bool_] = (rest.max(axis=1) - background) > _SECOND * (best - background)
-    return other
+@inlined
+def _position(
+    signal: npt.NDArray[Any],
+    above: int,
+    row: int,
+    below: int,
+    first: int,
+    to_px: int,
+    top: float,
+    floor: float,
+    before: int,
+) -> int:
+    """Where, in the block from ``first`` on, the row's score is about ``top``; -1 if nowhere.
 
-
-def half_width_px(stripes: Stripes) -> Floats:
-    """Width of each stripe at half height, to sub-pixel by linear interpolation of its flanks (N,)."""
-    n, count = stripes.samples.shape
-    if not n:
-        return np.zeros(0, np.float64)
-    rows = np.arange(n)
-    level = stripes.background_dn + 0.5 * stripes.amplitude_dn
-    high = stripes.run & (stripes.samples > level[:, None])
-    first = high.argmax(axis=1)
-    last = count - 1 - high[:, ::-1].argmax(axis=1)
-
-    def crossing(at: Ints, step: int) -> Floats:
-        inner = stripes.samples[rows, at]
-        outer = stripes.samples[rows, np.clip(at + step, 0, count - 1)]
-        drop = inner - outer
-        with np.errstate(divide="ignore", invalid="ignore"):
-            part = np.where(drop > 0, (inner - level) / drop, 0.5)
-        return np.clip(part, 0.0, 1.0)
-
-    return (last - first) + crossing(first, -1) + crossing(last, 1)
-
-
-def noise_dn(frame: npt.NDArray[Any]) -> float:
-    """Standard deviation of the noise of single pixels, from second differences along the rows.
-
-    The median absolute deviation ignores stripe and edges; rounding to whole DN adds 1/12 DN^2.
+    A place beside the one of the row before serves as well when it is nearly as bright: the methods find
+    the centre themselves. Of a plateau, as clipped stripes have, the middle.
     """
-    rows = frame[:: max(1, frame.shape[0] // 64)].astype(np.int32)
-    if rows.shape[1] < 3:
-        return float(np.sqrt(1.0 / 12.0))
-    bend = rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:]
-    # Whole DN make the plain median jump; the mean of the lower two thirds is smooth (factor for a
-    # normal distribution: E[|z| given |z| < q(2/3)] = 0.4557).
-    size = np.abs(bend).ravel()
-    count = max(1, 2 * size.size // 3)
-    low = float(np.partition(size, count - 1)[:count].mean())
-    return float(np.sqrt((low / 0.4557) ** 2 / 6.0 + 1.0 / 12.0))
+    up, here, down = signal[above], signal[row], signal[below]
+    last = min(first + _BLOCK, to_px)
+    close, least = floor + 0.5 * (top - floor), floor + 0.25 * (top - floor)
+    if first < before < last - 1:
+        score, at = -np.inf, before
+        for place in range(before - 1, before + 2):
+            k = np.uintp(place)
+            value = float(min(min(up[k], here[k]), down[k]))
+            if value > score:
+                score, at = value, place
+        # A narrow stripe that slopes loses most of its height to the least of three rows, not of two.
+        if score >= least and float(min(here[at], max(up[at], down[at]))) >= close:
+            return at
+    score, at = -np.inf, first
+    for place in range(first, last):
+        k = np.uintp(place)
+        value = float(min(min(up[k], here[k]), down[k]))
+        if value > score:
+            score, at = value, place
+    if score < least or float(min(here[at], max(up[at], down[at]))) < close:
+        return -1
+    end = at
+    while end + 1 < to_px and float(min(min(up[end + 1], here[end + 1]), down[end + 1])) >= score:
+        end += 1
+    return (at + end) // 2
+
+
+@kernel
+def _search_row(
+    signal: npt.NDArray[Any],
+    above: int,
+    row: int,
+    below: int,
+    from_px: int,
+    to_px: int,
+    floor: float,
+    least_dn: float,
+) -> tuple[int, float]:
+    """Position of the brightest stripe of one row, or -1, and its score: the whole row is looked at."""
+    up, here, down = signal[above], signal[row], signal[below]
+    top, pair = _best_score(signal, above, row, below, from_px, to_px), _best_pair(here, from_px, to_px)
+    if max(top, pair) - floor < least_dn:
+        return -1, floor
+    alone = signal.shape[0] == 1
+    if alone or top - floor < _AGREES * (pair - floor):
+        at = _steep(signal, row, from_px, to_px, floor, top, least_dn)
+        if at >= 0:
+            return at, float(here[at])
+    if alone or top - floor < least_dn:
+        return -1, floor
+    at = from_px
+    while min(min(up[at], here[at]), down[at]) < top:
+        at += 1
+    end = at
+    while end + 1 < to_px and min(min(up[end + 1], here[end + 1]), down[end + 1]) >= top:
+        end += 1
+    return (at + end) // 2, top
+
+
+@kernel
+def _bright_beside(
+    signal: npt.NDArray[Any], row: int, from_px: int, to_px: int, peak: int, level: float
+) -> bool:
+    """Whether a sample beside the stripe, up to a block's length away, is above ``level``."""
+    here = signal[row]
+    low, high = peak - _OWN, peak + _OWN
+    if low - _BLOCK < from_px or high + _BLOCK >= to_px:
+        for j in range(max(low - _BLOCK, from_px), min(high + _BLOCK + 1, to_px)):
+            if (j < low or j > high) and here[j] > level:
+                return True
+        return False
+    left, right = np.uintp(low - _BLOCK), np.uintp(high + 1)
+    top = here[left]
+    for i in range(_BLOCK):
+        one, other = here[left + np.uintp(i)], here[right + np.uintp(i)]
+        one = one if one > other else other
+        top = one if one > top else top
+    return float(top) > level
+
+
+@kernel
+def _elsewhere(
+    signal: npt.NDArray[Any],
+    above: int,
+    row: int,
+    below: int,
+    from_px: int,
+    to_px: int,
+    peak: int,
+    level: float,
+) -> bool:
+    """Whether a place that does not belong to the stripe about ``peak`` has a score above ``level``."""
+    up, here, down = signal[above], signal[row], signal[below]
+    low = high = peak
+    while low > from_px and min(min(up[low - 1], here[low - 1]), down[low - 1]) > level:
+        low -= 1
+    while high < to_px - 1 and min(min(up[high + 1], here[high + 1]), down[high + 1]) > level:
+        high += 1
+    # The stripe reaches as far as its score stays above the level, and its skirt a little further.
+    low, high = low - _OWN // 2, high + _OWN // 2
+    low, high = max(low, from_px), min(high + 1, to_px)
+    if low > from_px and _best_score(signal, above, row, below, from_px, low) > level:
+        return True
+    return high < to_px and _best_score(signal, above, row, below, high, to_px) > level
+
+
+@kernel
+def _best_score(
+    signal: npt.NDArray[Any], above: int, row: int, below: int, start: int, stop: int
+) -> float:
+    """Best vertical score of columns [start, stop) of a row; start < stop."""
+    up, here, down = signal[above], signal[row], signal[below]
+    first = np.uintp(start)
+    top = here[first]
+    top = top if top < up[first] else up[first]
+    top = top if top < down[first] else down[first]
+    for i in range(stop - start):
+        k = first + np.uintp(i)
+        least = here[k] if here[k] < up[k] else up[k]
+        least = least if least < down[k] else down[k]
+        top = least if least > top else top
+    return float(top)
+
+
+@kernel
+def _best_pair(here: npt.NDArray[Any], start: int, stop: int) -> float:
+    """Best of the lesser of two neighbours in columns [start, stop) of a row; start < stop."""
+    first = np.uintp(start)
+    if stop - start < 2:
+        return float(here[first])
+    top = here[first]
+    top = top if top < here[first + np.uintp(1)] else here[first + np.uintp(1)]
+    for i in range(stop - start - 1):
+        one, other = here[first + np.uintp(i)], here[first + np.uintp(i) + np.uintp(1)]
+        least = one if one < other else other
+        top = least if least > top else top
+    return float(top)
+
+
+@kernel
+def _steep(
+    signal: npt.NDArray[Any],
+    row: int,
+    from_px: int,
+    to_px: int,
+    floor: float,
+    top: float,
+    least_dn: float,
+) -> int:
+    """Position of a stripe that its vertical neighbours do not confirm, else -1.
+
+    ``top`` is the row's best vertical score: fainter places than twice that are not of interest.
+    """
+    here = signal[row]
+    limit = np.inf
+    for _ in range(_TRIES):
+        # The brightest pair below the last one that was refused.
+        best, at = -np.inf, -1
+        for i in range(from_px, to_px - 1):
+            value = float(min(here[i], here[i + 1]))
+            if value > best and value < limit:
+                best, at = value, i
+        if at < 0 or best - floor < least_dn or best - floor < (top - floor) / _AGREES:
+            break
+        if here[at + 1] > here[at]:
+            at += 1
+        if _confirmed(signal, row, from_px, to_px, at, floor):
+            return at
+        limit = best
+    return -1
+
+
+@kernel
+def _confirmed(
+    signal: npt.NDArray[Any], row: int, from_px: int, to_px: int, at: int, floor: float
+) -> bool:
+    """Whether the bright pair at ``at`` is a stripe: three samples wide, or with a neighbour in reach."""
+    here = signal[row]
+    level = floor + 0.3 * (float(here[at]) - floor)
+    low, high = at, at
+    while low > from_px and float(here[low - 1]) > level:
+        low -= 1
+    while high < to_px - 1 and float(here[high + 1]) > level:
+        high += 1
+    wide = high - low + 1
+    if signal.shape[0] == 1:
+        return wide >= 3
+    reach = 4 + 2 * wide
+    for other in (row - 1, row + 1):
+        if other < 0 or other >= signal.shape[0]:
+            continue
+        line = signal[other]
+        for j in range(max(from_px, low - reach), min(to_px - 1, high + reach)):
+            if float(min(line[j], line[j + 1])) > level:
+                return True
+    return False

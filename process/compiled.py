@@ -1,0 +1,91 @@
+"""Compiled kernels: NumPy-typed functions made into machine code once, and kept on disk.
+
+The cache's folder is named by the content of every kernel's source: Numba itself looks at the file of
+the outermost function only, so that a change in a function that it calls would go unseen, and old
+machine code would give old numbers.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+from numba.core import config, event
+
+LOG = logging.getLogger("turnscan")
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+#: Sums may be taken in any order and with fused multiply-add, so that they fill the vector units. NaN
+#: and infinity keep their meaning.
+_FASTMATH = {"reassoc", "contract", "nsz"}
+
+
+def inlined(function: Function) -> Function:
+    """A kernel that is written into each of its callers: for small ones that are called in every row."""
+    return numba.njit(nogil=True, error_model="numpy", fastmath=_FASTMATH, inline="always")(function)
+
+
+def kernel(function: Function) -> Function:
+    """``function`` compiled on its first call for given argument types; releases the GIL."""
+    compiled = numba.njit(nogil=True, error_model="numpy", fastmath=_FASTMATH)(function)
+    folder = _cache_folder()
+    if folder is not None:
+        before = config.CACHE_DIR
+        config.CACHE_DIR = str(folder)
+        try:
+            compiled.enable_caching()
+        finally:
+            config.CACHE_DIR = before
+    _announce()
+    return compiled
+
+
+@cache
+def _cache_folder() -> Path | None:
+    """Where machine code is kept: the user's cache, else a private temporary folder, else nowhere."""
+    here = Path(__file__).parent
+    content = hashlib.sha256()
+    for path in sorted(here.rglob("*.py")):
+        content.update(path.read_bytes())
+    name = content.hexdigest()[:16]
+    home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    for base in (
+        Path(home).expanduser() / "turnscan",
+        Path(tempfile.gettempdir()) / f"turnscan-{os.getuid()}",
+    ):
+        folder = base / "kernels" / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            # Code is loaded from here: it must be nobody else's folder.
+            if folder.stat().st_uid == os.getuid() and os.access(folder, os.W_OK):
+                return folder
+        except (OSError, RuntimeError):
+            continue
+    LOG.warning("no folder for compiled kernels is writable: they are compiled anew in each process")
+    return None
+
+
+class _Listener(event.Listener):  # type: ignore[misc]
+    """Says once that compilation has begun, since it takes seconds and looks like a hang."""
+
+    said = False
+
+    def on_start(self, event: Any) -> None:  # noqa: ARG002
+        if not self.said:
+            self.said = True
+            LOG.warning("compiling for this machine; this happens once after installation")
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+@cache
+def _announce() -> None:
+    event.register("numba:compile", _Listener())

@@ -1,0 +1,128 @@
+"""Extraction against its two limits: the Cramer-Rao bound, and a 3x3 median of the frame.
+
+    pytest -m benchmark -s tests/benchmarks/test_bench_extract.py
+
+TURNSCAN_SEED picks other frames (default 1).
+"""
+
+from __future__ import annotations
+
+import os
+
+import cv2
+import numpy as np
+import pytest
+from bench import best_cpu, calibration, frames, show
+from stripes import CASES, STEP, empty
+
+from turnscan.process.camera import undistort_points
+from turnscan.process.extract import METHODS, extract_stripe
+from turnscan.process.triangulate import scene_points
+
+pytestmark = pytest.mark.benchmark
+
+SEED = int(os.environ.get("TURNSCAN_SEED", "1"))
+FRAMES = 20
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> None:
+    cv2.setNumThreads(1)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_accuracy_against_the_bound(method: str) -> None:
+    print(f"\n{method}: {FRAMES} frames of 640 x 480 each, seed {SEED}; errors as multiples of the bound")
+    print(f"  {'case':<20s} {'rmse':>7s} {'phase':>7s} {'sigma':>7s} {'> 1 px':>8s} {'missing':>8s}")
+    for name, case in CASES.items():
+        errors, pulls, phases, gross, missing = [], [], [], 0, 0
+        for i in range(FRAMES):
+            frame, u = case.frame(1000 * SEED + i)
+            found = extract_stripe(frame, method)
+            error = found["u_px"] - u[found["row"]]
+            good = np.abs(error) < 1.0
+            errors.append((error / case.bound_px(u)[found["row"]])[good])
+            pulls.append((error / found["sigma_u_px"])[good])
+            phases.append((u[found["row"]] % 1.0)[good])
+            gross += int((~good).sum())
+            missing += len(u) - len(found)
+        error, pull, phase = (np.concatenate(a) for a in (errors, pulls, phases))
+        bins = [error[(phase * 8).astype(int) == k].mean() for k in range(8)]
+        rmse, bias = float(np.sqrt((error**2).mean())), float(np.abs(bins).max())
+        rows = FRAMES * 480
+        print(
+            f"  {name:<20s} {rmse:7.3f} {bias:7.3f} {float(pull.std()):7.3f} "
+            f"{100 * gross / rows:7.3f}% {100 * missing / rows:7.3f}%"
+        )
+        if method == "fused":
+            limit = 1.10 if name == "saturated" else 1.03
+            assert rmse <= limit + 3 / np.sqrt(2 * rows), name
+            assert 0.9 <= pull.std() <= 1.1, name
+            assert gross <= 1e-4 * rows, name
+            assert missing <= 1e-3 * rows, name
+
+
+def test_no_points_on_empty_rows() -> None:
+    rows = found = 0
+    for name, case in CASES.items():
+        for i in range(60):
+            found += len(extract_stripe(empty(case, 5000 * SEED + i)))
+            rows += 480
+        print(f"  {name}: {found} points on {rows} empty rows so far")
+    assert found <= 1e-5 * rows + 2
+
+
+def test_steps_and_salt() -> None:
+    """The rows beside a 30 px step, dim stripes and salt: where smoothing along the stripe bends it."""
+    print(f"\nrms in px, all rows and the 10 rows about the step, seed {SEED}")
+    for method in METHODS:
+        words = []
+        for name, case in STEP.items():
+            errors, beside = [], []
+            for i in range(FRAMES):
+                frame, u = case.frame(7000 * SEED + i)
+                found = extract_stripe(frame, method)
+                error = found["u_px"] - u[found["row"]]
+                errors.append(error)
+                beside.append(error[np.abs(found["row"].astype(int) - 240) <= 5])
+            both = [float(np.sqrt((np.concatenate(e) ** 2).mean())) for e in (errors, beside)]
+            words.append(f"{name} {both[0]:.3f}" + (f" ({both[1]:.3f})" if case.step_px else ""))
+        print(f"  {method:<16s} " + ", ".join(words))
+
+
+@pytest.mark.parametrize(("width", "height"), [(640, 480), (1280, 1024)])
+def test_speed_against_a_median(width: int, height: int) -> None:
+    (frame,) = frames(1, width, height)
+    bright = np.clip(frames(1, width, height)[0].astype(int) * 4 - 40, 0, 255).astype(np.uint8)
+    salt, _ = STEP["0.1 % salt"].frame(SEED, width, height)
+    lying, dark = np.ascontiguousarray(frame.T), frame // 10
+    document = calibration(width, height)
+    camera, plane = document.intrinsics_or_fail(), document.plane_or_fail(0)
+    axis = document.axis_or_fail()
+
+    def to_scene() -> object:
+        found = extract_stripe(frame)
+        xn, yn = undistort_points(found["u_px"], found["row"], camera)
+        return scene_points(xn, yn, np.full(len(xn), 0.3), plane, axis)
+
+    works = {
+        "limit": lambda: cv2.medianBlur(frame, 3),
+        "fused": lambda: extract_stripe(frame),
+        "fused, points undistorted and triangulated": to_scene,
+        "fused, all rows saturated": lambda: extract_stripe(bright),
+        "fused, 0.1 % salt": lambda: extract_stripe(salt),
+        "fused, horizontal": lambda: extract_stripe(lying, orientation="horizontal"),
+        "fused, less background": lambda: extract_stripe(frame, background=dark),
+        **{m: lambda m=m: extract_stripe(frame, m) for m in METHODS if m != "fused"},
+    }
+    targets = {
+        "fused": 1.0,
+        "fused, points undistorted and triangulated": 1.15 if width == 640 else 0.9,
+        "fused, all rows saturated": 3.0,
+        "steger": 60.0,
+    }
+    took = best_cpu(works, 60)
+    print(f"\n{width} x {height}; cv2.medianBlur(frame, 3) takes {took['limit'] * 1e6:.0f} us")
+    for name in list(works)[1:]:
+        target = targets.get(name, None if name.startswith("fused") else 15.0)
+        show(f"{name} / median", took[name] / took["limit"], target)
