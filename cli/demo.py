@@ -1,4 +1,4 @@
-"""``turnscan demo``: a simulated room, from frames to accuracy, PLY and picture."""
+"""``turnscan demo``: a simulated rig in a room, from recording to accuracy, PLY and picture."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..schemas.errors import ConflictError
+from ..schemas.errors import ConflictError, StorageError
 from .output import Format, FormatOption, JsonOption, chosen, current_session, emit
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ _MARK = "turnscan-demo.txt"
 
 def demo(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Where frames, archive and results go.")
+        Path, typer.Argument(metavar="DIR", help="Where rig file, archive and results go.")
     ] = Path("demo-output"),
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the folder of an earlier demo.")
@@ -36,37 +36,26 @@ def demo(
     style: FormatOption = Format.table,
     as_json: JsonOption = False,
 ) -> None:
-    """Simulate a room scan, import and process it, and show how exact it is.
+    """Record a room with a simulated rig, process it, and show how exact it is.
 
-    The room's frames are rendered by a forward model of their own, so the numbers are a real test.
+    The controller is an emulator on a serial port of its own, and the frames are rendered by a forward
+    model of their own, so the numbers are a real test of everything between.
     """
-    from ..ingest.image_import import ImportPlan, import_images
-    from ..ingest.image_sources import find_images
-    from ..ingest.poses import poses_from_csv
-    from ..ingest.room.demo import write_demo_frames
+    from ..ingest.devices.building import read_rig
     from ..process.pipeline import derive
     from ..schemas.recipe import BUILT_IN
     from ..store import Archive
-    from .places import read_calibration_file
+    from .recording import order_for, run
 
     session = current_session()
     began = time.monotonic()
     make_folder(folder, overwrite=overwrite)
-    with session.progress("rendering the room") as advance:
-        files = write_demo_frames(folder, seed=seed, advance=advance)
-    session.say(f"rendered {len(files.truth)} frames into {files.frames}")
+    rig_file = _write_rig(folder, seed)
     archive = Archive.init(folder / "archive")
-    images, _ = find_images([files.frames])
-    calibration = read_calibration_file(files.calibration)
-    plan = ImportPlan(
-        poses=poses_from_csv(images, files.angles),
-        rig=calibration.rig,
-        label="demo",
-        calibration=calibration,
-    )
-    with session.progress("importing") as advance:
-        summary = import_images(archive, plan, advance)
-    session.say(f"sealed scan {summary.scan}")
+    rig = read_rig(rig_file)
+    order = order_for(archive, rig, None, label="demo", tags={})
+    row = run(archive, rig, order, BUILT_IN["default"], rig_file)
+    summary = archive.scan(str(row["scan"]))
     rows = []
     for recipe in BUILT_IN.values():
         with session.progress(f"processing with {recipe.name}") as advance:
@@ -93,6 +82,45 @@ def demo(
         f"wrote {folder / 'room.ply'} and {folder / 'room.png'} in {time.monotonic() - began:.1f} s"
     )
     session.say(f"try: turnscan --archive {folder / 'archive'} scan show latest")
+
+
+#: The paper's rig, with a motor that a simulation need not wait for.
+_RIG = """\
+format = "turnscan.rig"
+version = 1
+name = "demo"
+
+[turntable]
+driver = "simulated"
+dialect = "turnscan"
+gear_ratio = 60        # the motor turns 60 times for one turn of the table
+settle_ms = 0
+
+[[lasers]]
+number = 0
+output = 1
+
+[camera]
+driver = "simulated"
+
+[scan]
+to_deg = 360
+step_deg = 2
+
+[simulated]
+scene = "room"
+seed = {seed}
+time_scale = 30        # the simulated table turns 30 times faster than it is told
+"""
+
+
+def _write_rig(folder: Path, seed: int) -> Path:
+    path = folder / "rig.toml"
+    try:
+        path.write_text(_RIG.format(seed=seed))
+    except OSError as error:
+        raise StorageError(f"cannot write {path}: {error.strerror}") from error
+    return path
 
 
 def make_folder(folder: Path, *, overwrite: bool) -> None:

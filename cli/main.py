@@ -32,6 +32,8 @@ from .importing import import_app
 from .output import Session, current_session, set_session
 from .recipes import recipe_app
 from .reporting import report_app
+from .recording import record
+from .rig import rig_app
 from .scans import scan_app
 from .starting import init
 
@@ -50,6 +52,8 @@ app = typer.Typer(
 )
 app.command(epilog="Example: turnscan init lab")(init)
 app.command(epilog="Example: turnscan demo room --overwrite")(demo)
+app.command(epilog="Example: turnscan record --rig rig.toml --label bust --step-deg 0.5")(record)
+app.add_typer(rig_app, name="rig")
 app.add_typer(import_app, name="import")
 app.add_typer(calibration_app, name="calibration")
 app.command(epilog="Example: turnscan process latest --recipe paper --dry-run")(process)

@@ -74,7 +74,8 @@ def chosen_scans(archive: Archive, words: list[str] | None, where: str | None) -
     if words and where:
         raise UsageError("SCAN and --where exclude each other", hint="give one of them")
     if words:
-        named = {s.scan: s for s in (archive.scan(w) for w in words)}
+        # A scan that was interrupted and resumed is several logs: its name means all of them.
+        named = {s.scan: s for w in words for s in archive.chain(archive.scan(w).scan)}
         return list(named.values())
     return archive.scans(where=where)
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+import math
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..schemas.errors import UsageError
 from .output import Format, FormatOption, JsonOption, chosen, current_session, emit, emit_object
 from .places import ScanArgument, WhereOption, open_archive, parse_tags, show_time
+
+if TYPE_CHECKING:
+    from ..schemas.manifests import ScanSummary
 
 scan_app = typer.Typer(
     no_args_is_help=True,
@@ -36,11 +40,13 @@ def list_scans(
             "ended": r["ended"],
             "calibration": r["calibration"],
             "tags": r["tags"],
+            "continues": r["continues"],
             **({"retired": r["retired"]} if retired else {}),
         }
         for r in open_archive().scan_rows(where=where, retired=retired)
     ]
-    columns = ["scan", "label", "rig", "started", "frames", "size_px", "ended", "calibration", "tags"]
+    columns = ["scan", "label", "rig", "started", "frames", "size_px", "ended"]
+    columns += ["calibration", "tags", "continues"]
     emit(rows, columns + (["retired"] if retired else []), chosen(style, as_json))
 
 
@@ -48,15 +54,20 @@ def list_scans(
 def show_scan(
     scan: ScanArgument, style: FormatOption = Format.table, as_json: JsonOption = False
 ) -> None:
-    """Show one scan: what it is, its calibration, what was derived from it."""
+    """Show one scan: what it is, its calibration, what was derived from it.
+
+    A scan that was interrupted and resumed is several logs, which are shown as one.
+    """
     import json
-    import math
 
     archive = open_archive()
     summary = archive.scan(scan)
+    logs = archive.chain(summary.scan)
     row = next(r for r in archive.scan_rows(retired=True) if r["scan"] == summary.scan)
+    made = [m for log in logs for m in archive.derivations(log.scan)]
     derived = [
         {
+            **({"scan": m.scan} if len(logs) > 1 else {}),
             "table": m.kind,
             "recipe": m.recipe_document.get("name", m.recipe),
             "calibration": m.calibration,
@@ -64,37 +75,63 @@ def show_scan(
             "key": m.key[:12],
             "made": show_time(m.created_ns),
         }
-        for m in sorted(archive.derivations(summary.scan), key=lambda m: (m.created_ns, m.kind))
+        for m in sorted(made, key=lambda m: (m.created_ns, m.kind))
     ]
     value: dict[str, Any] = json.loads(summary.model_dump_json())
     value |= {"label": row["label"], "tags": row["tags"], "retired": row["retired"]}
     chosen_style = chosen(style, as_json)
     if chosen_style is not Format.table:
-        emit_object(value | {"derivations": derived}, chosen_style)
+        whole = {"logs": [log_row(log) for log in logs]} if len(logs) > 1 else {}
+        emit_object(value | whole | {"derivations": derived}, chosen_style)
         return
-    angles = f"{math.degrees(summary.angle_min_rad):.6g} to {math.degrees(summary.angle_max_rad):.6g}"
+    low = math.degrees(min(log.angle_min_rad for log in logs))
+    high = math.degrees(max(log.angle_max_rad for log in logs))
+    frames = sum(log.frames for log in logs)
+    dark = sum(log.background_frames for log in logs)
+    first, last = logs[0], logs[-1]
     shown = {
-        "scan": summary.scan,
+        "scan": first.scan,
         "label": row["label"] or None,
         "tags": row["tags"] or None,
         "rig": summary.rig,
         "source": summary.source,
-        "started": show_time(summary.started_ns),
-        "ended": f"{show_time(summary.ended_ns)}, {summary.ended}",
-        "frames": f"{summary.frames}, of them {summary.background_frames} with the laser off",
+        "started": show_time(first.started_ns),
+        "ended": f"{show_time(last.ended_ns)}, {last.ended}",
+        "frames": f"{frames}, of them {dark} with the laser off",
         "images": f"{summary.width_px} x {summary.height_px} {summary.encoding}",
-        "angles_deg": angles,
-        "lasers": summary.lasers,
+        "angles_deg": f"{low:.6g} to {high:.6g}",
+        "lasers": sorted({n for log in logs for n in log.lasers}),
         "calibration": summary.calibration,
-        "log": f"{archive.log(summary.scan).path} ({summary.log_bytes} bytes)",
-        "content": summary.content_sha256[:12],
-        "salvaged_from": summary.salvaged_from,
+        "log": "; ".join(f"{archive.log(x.scan).path} ({x.log_bytes} bytes)" for x in logs),
+        "content": ", ".join(log.content_sha256[:12] for log in logs),
+        "salvaged_from": first.salvaged_from,
         "retired": row["retired"],
     }
     emit_object(shown, chosen_style)
+    if len(logs) > 1:
+        typer.echo()
+        emit(
+            [log_row(log) for log in logs],
+            ["scan", "continues", "started", "ended", "frames", "from_deg", "to_deg"],
+            chosen_style,
+        )
     if derived:
         typer.echo()
-        emit(derived, ["table", "recipe", "calibration", "rows", "key", "made"], chosen_style)
+        columns = ["table", "recipe", "calibration", "rows", "key", "made"]
+        emit(derived, (["scan"] if len(logs) > 1 else []) + columns, chosen_style)
+
+
+def log_row(log: ScanSummary) -> dict[str, Any]:
+    """One of the logs of a scan that was resumed."""
+    return {
+        "scan": log.scan,
+        "continues": log.continues,
+        "started": show_time(log.started_ns),
+        "ended": log.ended,
+        "frames": log.frames,
+        "from_deg": round(math.degrees(log.angle_min_rad), 6),
+        "to_deg": round(math.degrees(log.angle_max_rad), 6),
+    }
 
 
 @scan_app.command("tag", epilog="Example: turnscan scan tag latest owner=lab2 --label bust")
@@ -110,7 +147,8 @@ def tag_scan(
         raise UsageError("nothing to set", hint="give K=V words or --label")
     archive = open_archive()
     summary = archive.scan(scan)
-    archive.tag(summary.scan, parse_tags(tags), label)
+    for log in archive.chain(summary.scan):
+        archive.tag(log.scan, parse_tags(tags), label)
     current_session().say(f"tagged {summary.scan}")
 
 

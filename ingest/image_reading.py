@@ -14,11 +14,12 @@ from pathlib import Path
 from ..schemas.errors import DamageError, InputError
 from ..store.log_reader import decode_image_file
 from .image_sources import FORMATS
+from .sealing import ImportedFrame, image_kind
 
 Size = tuple[int, int]
 
 # Twice the largest sensor there is. A few bytes may claim any size, and decoding would believe them.
-_LARGEST_PX = 1 << 29
+LARGEST_PX = 1 << 29
 _RESAVE = "save it as a PNG or TIFF of 8 or 16 bit, grey or colour"
 _PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -27,7 +28,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 class ImageFile:
     """A checked image: its original bytes, its format, and what its pixels are."""
 
-    path: Path
+    where: str
     data: bytes
     encoding: str
     width_px: int
@@ -38,9 +39,24 @@ class ImageFile:
     @property
     def kind(self) -> str:
         """Size, channels and depth in words; all images of a scan must have the same."""
-        colour = {1: "grey", 3: "colour", 4: "colour with alpha"}[self.channels]
-        bits = "8 bit" if self.dtype == "uint8" else "16 bit"
-        return f"{self.width_px} x {self.height_px}, {colour}, {bits}"
+        bits = 8 if self.dtype == "uint8" else 16
+        return image_kind(self.width_px, self.height_px, self.channels, bits)
+
+    def as_frame(
+        self, t_ns: int, lasers_on: tuple[int, ...], *, file: str | None = None
+    ) -> ImportedFrame:
+        """The frame that this image makes of a scan."""
+        return ImportedFrame(
+            t_ns=t_ns,
+            lasers_on=lasers_on,
+            where=self.where,
+            kind=self.kind,
+            width_px=self.width_px,
+            height_px=self.height_px,
+            file=file,
+            data=self.data,
+            encoding=self.encoding,
+        )
 
 
 def read_image(path: Path) -> ImageFile:
@@ -49,48 +65,59 @@ def read_image(path: Path) -> ImageFile:
     Raises
     ------
     InputError
-        The file cannot be read, is no image, is cut off, claims an absurd size, has several pages, or
-        holds pixels that are neither 8 nor 16 bit.
+        The file cannot be read, or :func:`check_image` refuses it.
     """
     try:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    return check_image(data, where=str(path), claimed=FORMATS[path.suffix.lower()])
+
+
+def check_image(data: bytes, *, where: str, claimed: str) -> ImageFile:
+    """The image that ``data`` is, decoded once; ``claimed`` is the format that it is said to have.
+
+    Raises
+    ------
+    InputError
+        It is no image, is cut off, claims an absurd size, has several pages, or holds pixels that are
+        neither 8 nor 16 bit.
+    """
     found = _sniff(data)
     if found is None:
-        what = f"is no {FORMATS[path.suffix.lower()].upper()} image" if data else "is empty"
-        raise InputError(f"{path}: {what}", hint="leave it out, or replace it")
+        what = f"is no {claimed.upper()} image" if data else "is empty"
+        raise InputError(f"{where}: {what}", hint="leave it out, or replace it")
     try:
         size = _SIZES[found](data)
     except (struct.error, IndexError, KeyError):
         size = None
     if size is None:
         raise InputError(
-            f"{path}: the image is cut off ({len(data)} bytes)", hint="copy it again from its source"
+            f"{where}: the image is cut off ({len(data)} bytes)", hint="copy it again from its source"
         )
-    if size[0] * size[1] > _LARGEST_PX:
+    if size[0] * size[1] > LARGEST_PX:
         raise InputError(
-            f"{path}: its head says {size[0]} x {size[1]} pixels, more than {_LARGEST_PX}",
+            f"{where}: its head says {size[0]} x {size[1]} pixels, more than {LARGEST_PX}",
             hint="leave it out, or replace it",
         )
     if found == "tiff" and _tiff_pages(data) > 1:
-        raise InputError(f"{path}: holds several pages", hint="save each page as a file of its own")
+        raise InputError(f"{where}: holds several pages", hint="save each page as a file of its own")
     try:
-        pixels = decode_image_file(data, where=str(path))
+        pixels = decode_image_file(data, where=where)
     except DamageError as error:
         raise InputError(str(error), hint="copy it again from its source, or leave it out") from error
     if pixels.dtype not in ("uint8", "uint16"):
-        raise InputError(f"{path}: pixels are {pixels.dtype}, expected 8 or 16 bit", hint=_RESAVE)
+        raise InputError(f"{where}: pixels are {pixels.dtype}, expected 8 or 16 bit", hint=_RESAVE)
     channels = 1 if pixels.ndim == 2 else pixels.shape[2]
     if channels not in (1, 3, 4):
-        raise InputError(f"{path}: has {channels} channels, expected grey or colour", hint=_RESAVE)
+        raise InputError(f"{where}: has {channels} channels, expected grey or colour", hint=_RESAVE)
     width, height = pixels.shape[1], pixels.shape[0]
     if (width, height) != size:
         raise InputError(
-            f"{path}: its head says {size[0]} x {size[1]} pixels, decoding gives {width} x {height}",
+            f"{where}: its head says {size[0]} x {size[1]} pixels, decoding gives {width} x {height}",
             hint="copy it again from its source, or leave it out",
         )
-    return ImageFile(path, data, found, width, height, channels, str(pixels.dtype))
+    return ImageFile(where, data, found, width, height, channels, str(pixels.dtype))
 
 
 def _sniff(data: bytes) -> str | None:

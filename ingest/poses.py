@@ -1,4 +1,4 @@
-"""What belongs to each image of an import: angle, time, lasers. From a step, or from a CSV."""
+"""What belongs to each frame of an import: angle, time, lasers. From a step, or from a CSV."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 from ..schemas.errors import InputError
 
-_COLUMNS = ("file", "angle_deg", "t_ns", "laser", "laser_on")
+_COLUMNS = ("angle_deg", "t_ns", "laser", "laser_on")
 _YES, _NO = {"1", "true", "yes", "on"}, {"0", "false", "no", "off"}
 _NOMINAL_STEP_NS = 1_000_000_000
 #: A hundred turns: what is beyond is a mistake in the unit.
@@ -98,20 +98,66 @@ def poses_from_csv(images: Sequence[Path], table: Path) -> list[Pose]:
         out.append(_pose(path, row, where=f"{table}, line {line}"))
     missing = [p.name for p in images if p not in used]
     if missing:
-        shown = ", ".join(missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
         raise InputError(
-            f"{table}: no row for {shown}", hint="add the missing rows, or leave these images out"
+            f"{table}: no row for {_first_of(missing)}",
+            hint="add the missing rows, or leave these images out",
         )
-    timed = [p.t_ns is not None for p in out]
-    if any(timed) and not all(timed):
-        line = rows[timed.index(False)][0]
-        raise InputError(f"{table}, line {line}: t_ns is empty, but other rows have it")
+    _check_times(table, rows, out)
     # A CSV made by `ls` has frame10 before frame2: the images' own order is what people mean.
     place = {path: i for i, path in enumerate(images)}
     out.sort(key=lambda p: (p.t_ns or 0, place[p.path]))
     if not any(p.lasers_on for p in out):
         raise InputError(f"{table}: every frame is a laser-off frame")
     return out
+
+
+def poses_of_frames(video: Path, count: int, table: Path, *, remark: str = "") -> list[Pose]:
+    """Poses of the ``count`` frames of a video, from a CSV with the columns frame, angle_deg and,
+    optionally, t_ns, laser, laser_on.
+
+    ``frame`` counts from 0; the order of rows does not matter. ``remark`` is what is known of a number
+    of frames that is less than it should be.
+
+    Raises
+    ------
+    InputError
+        A row is malformed, a frame has no row or two, or a row is of no frame.
+    """
+    rows = _read_rows(table, key="frame")
+    if len(rows) != count:
+        raise InputError(
+            f"{table}: has {len(rows)} rows, {video} has {count} frames"
+            + (f": {remark}" if remark else ""),
+            hint="one row a frame, counted from 0",
+        )
+    found: dict[int, int] = {}
+    out: list[Pose] = []
+    for line, row in rows:
+        where = f"{table}, line {line}"
+        frame = _whole(row["frame"], count)
+        if frame is None:
+            raise InputError(
+                f"{where}: frame is {row['frame'][:40]!r}, expected a number from 0 to {count - 1}"
+            )
+        if frame in found:
+            raise InputError(f"{where}: frame {frame} stands already in line {found[frame]}")
+        found[frame] = line
+        out.append(_pose(video, row, where=where))
+    _check_times(table, rows, out)
+    if not any(p.lasers_on for p in out):
+        raise InputError(f"{table}: every frame is a laser-off frame")
+    return [pose for _, pose in sorted(zip(found, out, strict=True), key=lambda pair: pair[0])]
+
+
+def _first_of(names: Sequence[str]) -> str:
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+
+
+def _check_times(table: Path, rows: Sequence[tuple[int, Any]], poses: Sequence[Pose]) -> None:
+    timed = [p.t_ns is not None for p in poses]
+    if any(timed) and not all(timed):
+        line = rows[timed.index(False)][0]
+        raise InputError(f"{table}, line {line}: t_ns is empty, but other rows have it")
 
 
 def with_times(poses: Sequence[Pose], start_ns: int) -> list[tuple[int, Pose]]:
@@ -121,17 +167,17 @@ def with_times(poses: Sequence[Pose], start_ns: int) -> list[tuple[int, Pose]]:
     ]
 
 
-def _read_rows(table: Path) -> list[tuple[int, dict[str, str]]]:
+def _read_rows(table: Path, *, key: str = "file") -> list[tuple[int, dict[str, str]]]:
     try:
         with table.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file, skipinitialspace=True)
             header = [name.strip() for name in reader.fieldnames or []]
             reader.fieldnames = header
-            unknown = [n for n in header if n not in _COLUMNS]
-            lacking = [n for n in ("file", "angle_deg") if n not in header]
+            unknown = [n for n in header if n not in (key, *_COLUMNS)]
+            lacking = [n for n in (key, "angle_deg") if n not in header]
             if unknown or lacking or len(set(header)) < len(header):
                 raise InputError(
-                    f"{table}, line 1: columns are {header}, expected file, angle_deg and, "
+                    f"{table}, line 1: columns are {header}, expected {key}, angle_deg and, "
                     "optionally, t_ns, laser, laser_on; each once",
                     hint="separate cells by commas; the first line names the columns",
                 )

@@ -1,8 +1,9 @@
 """Pair each laser-lit frame with its angle and its laser-off frame, by time, in one pass.
 
 Recording writes facts; which facts belong together is decided here. The angle of a frame is the
-last one at or before its exposure, as the device reported it if it did, else as commanded. Its
-laser-off frame is the one at the same angle, before or after it, else the last one before it.
+last one at or before its exposure, as the device reported it if it did, else as commanded. Where the
+table was turning at that report, the frame's angle lies on the line from there to the next report.
+Its laser-off frame is the one at the same angle, before or after it, else the last one before it.
 """
 
 from __future__ import annotations
@@ -33,49 +34,73 @@ class LitFrame:
     background: Image | None
 
 
-@dataclass
-class _Waiting:
-    frame: Any
-    image: Image
-    angle_rad: float
+@dataclass(frozen=True)
+class Placed:
+    """A frame and the angle that it was taken at; None before the first angle of the log."""
+
+    item: Any
+    angle_rad: float | None
+    #: Whether the table was turning: no other frame was taken at the same angle.
+    turning: bool = False
 
 
-def pair_frames(items: Iterable[Any], *, with_background: bool) -> Iterator[LitFrame]:
-    """Lit frames of a log in time order.
+def place_frames(items: Iterable[Any], left_out: list[int]) -> Iterator[Placed]:
+    """Every frame of a log in time order, with its angle.
 
     ``items`` are turntable angles and frames (``frame``, ``t_ns``, ``lasers_on``, ``decode()``) in
-    time order. With ``with_background`` at most the frames of one angle are held back, until the
-    laser-off frame of that angle has been seen or the turntable has moved on.
+    time order. Frames taken while the table turned are held back until its next report. Those after
+    the last report have no angle: they are not given, and their numbers go to ``left_out``.
+    """
+    last: TurntableAngle | None = None
+    held: list[Any] = []
+    for item in items:
+        if isinstance(item, TurntableAngle):
+            if last is not None:
+                yield from (Placed(h, _between(last, item, h.t_ns), turning=True) for h in held)
+                held.clear()
+            last = item
+        elif last is not None and last.moving:
+            held.append(item)
+        else:
+            yield Placed(item, None if last is None else _value(last))
+    left_out += [h.frame for h in held]
+
+
+def pair_frames(
+    items: Iterable[Any], *, with_background: bool, left_out: list[int] | None = None
+) -> Iterator[LitFrame]:
+    """Lit frames of a log in time order.
+
+    ``items`` and ``left_out`` as in :func:`place_frames`. With ``with_background`` at most the frames
+    of one angle are held back, until the laser-off frame of that angle has been seen or the turntable
+    has moved on.
 
     Raises
     ------
     InputError
         A frame comes before any angle; or laser-off frames are asked for and there is none.
     """
-    angle: TurntableAngle | None = None
     off: Image | None = None
     off_angle: float | None = None
-    waiting: list[_Waiting] = []
+    waiting: list[tuple[Placed, Image]] = []
 
     def release() -> Iterator[LitFrame]:
-        for held in waiting:
+        for placed, image in waiting:
             if off is None:
                 raise InputError(
-                    f"frame {held.frame.frame} has no laser-off frame at or before its angle",
+                    f"frame {placed.item.frame} has no laser-off frame at or before its angle",
                     hint='record or import laser-off frames, or set extract.background = "none"',
                 )
-            yield _lit(held, off)
+            yield _lit(placed, image, off)
         waiting.clear()
 
-    for item in items:
-        if isinstance(item, TurntableAngle):
-            if waiting and _value(item) != waiting[0].angle_rad:
-                yield from release()
-            angle = item
-            continue
+    for placed in place_frames(items, [] if left_out is None else left_out):
+        item, angle = placed.item, placed.angle_rad
+        if waiting and angle != waiting[0][0].angle_rad:
+            yield from release()
         if not item.lasers_on:
             if with_background:
-                off, off_angle = item.decode(), None if angle is None else _value(angle)
+                off, off_angle = item.decode(), angle
                 yield from release()
             continue
         if angle is None:
@@ -83,14 +108,13 @@ def pair_frames(items: Iterable[Any], *, with_background: bool) -> Iterator[LitF
                 f"frame {item.frame} (t_ns {item.t_ns}) has no turntable angle at or before it",
                 hint="the log lacks /turntable/angle events; import it again with angles",
             )
-        value = _value(angle)
-        held = _Waiting(item, item.decode(), value)
+        image = item.decode()
         if not with_background:
-            yield _lit(held, None)
-        elif off_angle == value and not waiting:
-            yield _lit(held, off)
+            yield _lit(placed, image, None)
+        elif off is not None and not waiting and (placed.turning or off_angle == angle):
+            yield _lit(placed, image, off)
         else:
-            waiting.append(held)
+            waiting.append((placed, image))
     yield from release()
 
 
@@ -98,12 +122,21 @@ def _value(angle: TurntableAngle) -> float:
     return angle.commanded_rad if angle.reported_rad is None else angle.reported_rad
 
 
-def _lit(held: _Waiting, background: Image | None) -> LitFrame:
+def _between(before: TurntableAngle, after: TurntableAngle, t_ns: int) -> float:
+    """The angle at ``t_ns`` on the line through two reports."""
+    first, second = _value(before), _value(after)
+    if after.t_ns == before.t_ns:
+        return second
+    return first + (second - first) * ((t_ns - before.t_ns) / (after.t_ns - before.t_ns))
+
+
+def _lit(placed: Placed, image: Image, background: Image | None) -> LitFrame:
+    assert placed.angle_rad is not None
     return LitFrame(
-        frame=held.frame.frame,
-        t_ns=held.frame.t_ns,
-        angle_rad=held.angle_rad,
-        lasers_on=held.frame.lasers_on,
-        image=held.image,
+        frame=placed.item.frame,
+        t_ns=placed.item.t_ns,
+        angle_rad=placed.angle_rad,
+        lasers_on=placed.item.lasers_on,
+        image=image,
         background=background,
     )

@@ -7,26 +7,25 @@ sealed, and POINTS are derived from the sealed STRIPES. The result does not depe
 from __future__ import annotations
 
 import logging
-import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from ..schemas.calibration import Calibration
 from ..schemas.errors import CalibrationError, InputError, TurnscanError
-from ..schemas.events import TurntableAngle
+from ..schemas.key import stripes_key
 from ..schemas.manifests import DerivationManifest, ScanSummary
 from ..schemas.recipe import Recipe
 from ..schemas.tables import POINTS, STRIPES
 from ..store import Archive
-from ..store.log_reader import LogFrame
+from ..store.log_digest import LogFacts
+from ..store.log_follow import GrowingLog
 from ..store.plan import Plan, stage_records
 from .batches import columns_of, record_batches
-from .pairing import LitFrame, pair_frames
-from .stages import FrameChain, PointChain, check_size
+from .stages import PointChain, check_size
+from .striping import FrameSource, Tally, stripe_parts
 from .workers import in_processes
 
 if TYPE_CHECKING:
@@ -35,6 +34,20 @@ if TYPE_CHECKING:
 LOG = logging.getLogger("turnscan")
 
 Advance = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class LiveStart:
+    """What is known of a scan when its recording begins, and what shall be derived of it.
+
+    ``calibration`` is the one that holds now (None: none does); ``choice`` how it was chosen.
+    """
+
+    scan: str
+    camera: str
+    recipe: Recipe
+    calibration: Calibration | None
+    choice: str = "current"
 
 
 @dataclass(frozen=True)
@@ -136,94 +149,109 @@ def derive_scan(archive: Archive, plan: Plan, step: Callable[[int], None] | None
     )
 
 
-@dataclass
-class _Tally:
-    """What is counted while frames stream by, for the manifest."""
-
-    frames: int = 0
-    empty: int = 0
-
-    def warnings(self) -> tuple[str, ...]:
-        out = []
-        if self.frames and self.empty == self.frames:
-            out.append("no frame shows a stripe: lower extract.base_dn, or look at the frames")
-        elif self.empty:
-            out.append(f"{self.empty} of {self.frames} frames show no stripe")
-        return tuple(out)
-
-
 def _derive_stripes(
     archive: Archive, plan: Plan, step: Callable[[int], None] | None
 ) -> DerivationManifest:
-    chain = FrameChain(plan.recipe, plan.calibration)
-    with_background = plan.recipe.extract().background == "off-frame"
-    tally = _Tally()
-    camera = plan.scan.cameras[0]
-    if len(plan.scan.cameras) > 1:
-        raise InputError(
-            f"scan {plan.scan.scan} has {len(plan.scan.cameras)} cameras, a calibration has one",
-            hint="record or import each camera as a scan of its own",
-        )
+    tally = Tally()
 
-    def items() -> Iterator[Any]:
-        for item in archive.log(plan.scan.scan).items():
-            if isinstance(item, TurntableAngle) or (
-                isinstance(item, LogFrame) and item.camera == camera
-            ):
-                yield item
+    def advance(now: Tally) -> None:
+        if step is not None:
+            step(now.frames)
 
-    def parts() -> Iterator[dict[str, Any]]:
-        for lit in pair_frames(items(), with_background=with_background):
-            _check_frame(plan.scan, lit)
-            try:
-                found = chain.extract(lit.image, lit.lasers_on, lit.background)
-            except (InputError, CalibrationError) as error:
-                raise type(error)(
-                    f"scan {plan.scan.scan}, frame {lit.frame}: {error}", hint=error.hint
-                ) from error
-            tally.frames += 1
-            tally.empty += not any(len(points) for _, points in found)
-            if step is not None:
-                step(tally.frames)
-            yield _stripe_columns(lit.frame, lit.t_ns, lit.angle_rad, found)
-
+    parts = stripe_parts(
+        archive.log(plan.scan.scan).items(),
+        plan.recipe,
+        plan.calibration,
+        _source_of(plan.scan),
+        tally,
+        advance,
+    )
     return archive.publish(
-        record_batches(STRIPES, parts()),
-        **_fields(plan, "stripes"),
-        frames=lambda: tally.frames,
-        frames_without_stripe=lambda: tally.empty,
-        warnings=tally.warnings,
+        "stripes",
+        record_batches(STRIPES, parts),
+        lambda: {**_fields(plan, "stripes"), **tally.fields()},
     )
 
 
-def _check_frame(scan: ScanSummary, lit: LitFrame) -> None:
-    """A frame of another size than the scan's would be triangulated wrongly without a word."""
-    height, width = lit.image.shape[:2]
-    if (width, height) != (scan.width_px, scan.height_px):
+def _source_of(scan: ScanSummary) -> FrameSource:
+    if len(scan.cameras) > 1:
         raise InputError(
-            f"scan {scan.scan}, frame {lit.frame}: is {width} x {height}, the scan's first frame is "
-            f"{scan.width_px} x {scan.height_px}",
-            hint="a scan holds frames of one size: record or import the others as a scan of their own",
+            f"scan {scan.scan} has {len(scan.cameras)} cameras, a calibration has one",
+            hint="record or import each camera as a scan of its own",
         )
+    return FrameSource(scan.scan, scan.cameras[0], (scan.width_px, scan.height_px))
 
 
-def _stripe_columns(
-    frame: int, t_ns: int, angle_rad: float, found: list[tuple[int, np.ndarray[Any, Any]]]
-) -> dict[str, Any]:
-    """One frame's stripe points of all lasers, in the order of rows."""
-    points = np.concatenate([p for _, p in found])
-    laser = np.concatenate([np.full(len(p), n, np.uint8) for n, p in found])
-    order = np.argsort(points["row"], kind="stable")
-    points, laser = points[order], laser[order]
-    n = len(points)
-    return {
-        "frame": np.full(n, frame, np.uint32),
-        "t_ns": np.full(n, t_ns, np.int64),
-        "laser": laser,
-        # Within one turn, where float32 is good to 3e-7 rad.
-        "angle_rad": np.full(n, math.fmod(angle_rad, math.tau), np.float32),
-        **{name: points[name] for name in points.dtype.names or ()},
-    }
+def derive_growing(
+    root: Path,
+    part: Path,
+    start: LiveStart,
+    *,
+    finished: Callable[[float], bool],
+    seal: Callable[[LogFacts, str], None],
+    advance: Callable[[Tally], None],
+) -> Outcome:
+    """Derive STRIPES of a log while it is written, publish them once it is sealed, then POINTS.
+
+    ``finished`` says when the log ``part`` is whole (:class:`GrowingLog`). ``seal`` is called with
+    its facts and SHA-256, and returns when the scan is sealed and in the catalogue; only then the key
+    is known. The rows come from the code that :func:`derive` runs: the table is the one it would make.
+
+    Raises
+    ------
+    TurnscanError
+        As :func:`derive_scan`; also if what was sealed is not what was derived (another calibration
+        holds by now): then nothing is published, and :func:`derive` does it all.
+    """
+    archive = Archive.open(root)
+    growing = GrowingLog(part, finished)
+    tally = Tally()
+    began = time.monotonic()
+    source = FrameSource(start.scan, start.camera)
+    parts = stripe_parts(growing.items(), start.recipe, start.calibration, source, tally, advance)
+    plans: list[Plan] = []
+
+    def fields() -> dict[str, Any]:
+        seal(growing.facts(), growing.log_sha256())
+        plan = next(archive.plan([archive.scan(start.scan)], start.recipe, start.choice))
+        if isinstance(plan, TurnscanError):
+            raise plan
+        _check_live(plan, start, source)
+        plans.append(plan)
+        return {**_fields(plan, "stripes"), **tally.fields()}
+
+    stripes = archive.publish("stripes", record_batches(STRIPES, parts), fields)
+    (plan,) = plans
+    LOG.info("%s: stripes sealed", plan.scan.scan)
+    points = _derive_points(archive, plan, stripes)
+    return Outcome(
+        scan=plan.scan.scan,
+        derived=("stripes", "points"),
+        points=points.rows,
+        frames=stripes.frames,
+        frames_without_stripe=stripes.frames_without_stripe,
+        seconds=time.monotonic() - began,
+        warnings=(*stripes.warnings, *points.warnings),
+    )
+
+
+def _check_live(plan: Plan, start: LiveStart, source: FrameSource) -> None:
+    """What entered the live table must be what its key says."""
+    live, _ = stripes_key(
+        plan.recipe,
+        content_sha256=plan.scan.content_sha256,
+        calibration=start.calibration,
+        lasers=plan.scan.lasers,
+    )
+    sealed = _source_of(plan.scan)
+    if live != plan.stripes_key or sealed.camera != source.camera:
+        raise CalibrationError(
+            f"scan {plan.scan.scan}: another calibration holds than when it began",
+            hint=f"turnscan process {plan.scan.scan}",
+        )
+    if source.size is not None and source.size != sealed.size:
+        raise InputError(f"scan {plan.scan.scan}: its first frame has another size than the others")
+    check_size(plan.calibration.intrinsics_or_fail(), plan.scan.width_px, plan.scan.height_px)
 
 
 def _derive_points(archive: Archive, plan: Plan, stripes: DerivationManifest) -> DerivationManifest:
@@ -240,11 +268,14 @@ def _derive_points(archive: Archive, plan: Plan, stripes: DerivationManifest) ->
 
     batches: Iterator[pa.RecordBatch] = record_batches(POINTS, parts())
     return archive.publish(
+        "points",
         batches,
-        **_fields(plan, "points"),
-        frames=stripes.frames,
-        frames_without_stripe=stripes.frames_without_stripe,
-        warnings=warnings,
+        lambda: {
+            **_fields(plan, "points"),
+            "frames": stripes.frames,
+            "frames_without_stripe": stripes.frames_without_stripe,
+            "warnings": warnings(),
+        },
     )
 
 
@@ -252,7 +283,6 @@ def _fields(plan: Plan, kind: str) -> dict[str, Any]:
     stripes = kind == "stripes"
     stages = plan.recipe.frame_stages() if stripes else plan.recipe.point_stages()
     return {
-        "kind": kind,
         "key": plan.stripes_key if stripes else plan.points_key,
         "scan": plan.scan.scan,
         "content_sha256": plan.scan.content_sha256,

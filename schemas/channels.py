@@ -1,7 +1,7 @@
 """The channels of a scan log: which topic carries what, in which encoding.
 
 JSON channels carry the events of events.py. Images, camera calibration and tf are protobuf, because
-viewers read only those. ``{camera}`` stands for the camera's id.
+viewers read only those. ``{camera}`` stands for the camera's id, ``{laser}`` for the laser's number.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from .events import (
     ReferenceEvent,
     ScanEnd,
     ScanStart,
+    StripeTruth,
     TurntableAngle,
 )
 from .image_messages import COMPRESSED_IMAGE, RAW_IMAGE
@@ -59,15 +60,19 @@ TOPICS: Final = {
     "/camera/{camera}/image": Topic((RAW_IMAGE, COMPRESSED_IMAGE), content=True),
     "/camera/{camera}/calibration": Topic((CAMERA_CALIBRATION,)),
     "/tf": Topic((FRAME_TRANSFORM,)),
+    "/truth/{laser}": Topic(("stripe-truth",), StripeTruth),
 }
 
 _CAMERA = re.compile(r"^/camera/([A-Za-z0-9_.-]+)/(exposure|image|calibration)$")
+_TRUTH = re.compile(r"^/truth/(0|[1-9][0-9]{0,2})$")
 _EVENT_TOPICS: Final = {t.event: name for name, t in TOPICS.items() if t.event is not None}
 
 
 @lru_cache(1024)
 def topic_of(name: str) -> Topic | None:
     """What the topic ``name`` carries, or None for a topic that is not turnscan's."""
+    if _TRUTH.match(name):
+        return TOPICS["/truth/{laser}"]
     match = _CAMERA.match(name)
     return TOPICS.get(f"/camera/{{camera}}/{match[2]}" if match else name)
 
@@ -77,6 +82,8 @@ def event_topic(event: LogEvent) -> str:
     name = _EVENT_TOPICS[type(event)]
     if isinstance(event, Exposure):
         return name.replace("{camera}", event.camera)
+    if isinstance(event, StripeTruth):
+        return name.replace("{laser}", str(event.laser))
     return name
 
 

@@ -79,6 +79,12 @@ class DamageError(TurnscanError):
     slug = "damage"
 
 
+class CutOffError(DamageError):
+    """A file ends before its structure does; what stands before the end is whole."""
+
+    slug = "cut-off"
+
+
 class StorageError(TurnscanError):
     """The file system refused: disk full, no permission, not a folder."""
 

@@ -37,6 +37,12 @@ class ScanStart(LogEvent):
     cameras: tuple[str, ...] = ("0",)
     lasers: tuple[int, ...] = (0,)
     salvaged_from: str | None = None
+    continues: str | None = Field(
+        default=None, description="the scan whose recording this log takes up again"
+    )
+    plan: dict[str, Any] | None = Field(
+        default=None, description="the [scan] table of the rig file that this scan follows"
+    )
 
 
 class ScanEnd(LogEvent):
@@ -48,10 +54,15 @@ class ScanEnd(LogEvent):
 
 
 class TurntableAngle(LogEvent):
-    """Turntable position, as commanded and as the device reported it (None: no report)."""
+    """Turntable position, as commanded and as the device reported it (None: no report).
+
+    ``moving`` says that the table turned when it reported, or began to: the angle of a frame between
+    this report and the next one lies between the two. Without it the angle holds until the next event.
+    """
 
     commanded_rad: float
     reported_rad: float | None = None
+    moving: Literal[True] | None = None
 
 
 class LaserState(LogEvent):
@@ -99,3 +110,30 @@ class LogLine(LogEvent):
 
     level: Literal["debug", "info", "warning", "error"]
     message: str
+
+
+class StripeTruth(LogEvent):
+    """What a simulated camera knows of one laser's stripe in one frame: exact, without noise.
+
+    One entry for each stripe point, sorted by ``row`` and then ``u_px``. Columns are packed (base64 of
+    little-endian numbers; truth.py packs and unpacks them) because truth must be exact to the last
+    bit: as decimal text it is 2.5 times as long and takes twenty times as long to write.
+    """
+
+    frame: Annotated[int, Field(ge=0)] = Field(description="number of the frame in the scan")
+    camera: str = "0"
+    laser: Annotated[int, Field(ge=0, le=255)]
+    stripe: Literal["vertical", "horizontal"] = Field(
+        description="whether row counts rows, or columns of the frame"
+    )
+    angle_rad: float = Field(description="true angle of the turntable at the middle of the exposure")
+    points: Annotated[int, Field(ge=0)]
+    row: str = Field(description="uint16: row (vertical) or column (horizontal)")
+    u_px: str = Field(description="float64: true centre along the row, in the distorted frame")
+    x_mm: str = Field(description="float64: scene point behind it")
+    y_mm: str = Field(description="float64")
+    z_mm: str = Field(description="float64")
+    range_mm: str = Field(description="float64: distance from the camera's centre")
+    amplitude_dn: str = Field(description="float32: peak above ambient light, before saturation")
+    width_px: str = Field(description="float32: standard deviation of the profile along the row")
+    surface: str = Field(description="uint16: which shape of the scene, from 0")

@@ -21,10 +21,13 @@ from .events import (
     ReferenceEvent,
     ScanEnd,
     ScanStart,
+    StripeTruth,
     TurntableAngle,
 )
 from .manifests import ArchiveSettings, DerivationManifest, ScanSummary
 from .recipe import Recipe
+from .rig import Rig
+from .scene import SceneDocument
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -41,9 +44,12 @@ _NAMED: dict[str, Any] = {
     "paper-calibration": PaperCalibration,
     "recipe": Recipe,
     "reference-event": ReferenceEvent,
+    "rig": Rig,
     "scan": ScanSummary,
     "scan-end": ScanEnd,
     "scan-start": ScanStart,
+    "scene": SceneDocument,
+    "stripe-truth": StripeTruth,
     "turntable-angle": TurntableAngle,
 }
 

@@ -11,6 +11,9 @@ from .events import Ended, Nanoseconds, Tags
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
+#: The derived tables.
+Kind = Literal["stripes", "points"]
+
 #: Version of the archive's layout, in turnscan.toml. Raised when old programs would misread it.
 ARCHIVE_VERSION = 1
 
@@ -59,6 +62,7 @@ class ScanSummary(Model):
     log_bytes: int
     log_sha256: Sha256
     salvaged_from: str | None = None
+    continues: str | None = None
 
 
 class DerivationManifest(Sealed):
@@ -66,7 +70,7 @@ class DerivationManifest(Sealed):
 
     format: Literal["turnscan.derivation"] = "turnscan.derivation"
     version: Literal[1] = 1
-    kind: Literal["stripes", "points"]
+    kind: Kind
     key: Sha256
     scan: str
     content_sha256: Sha256

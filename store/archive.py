@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,18 +24,19 @@ from ..schemas.ids import new_ulid
 from ..schemas.manifests import (
     ArchiveSettings,
     DerivationManifest,
+    Kind,
     ScanSummary,
 )
 from ..schemas.recipe import Recipe, built_in_recipe
 from . import layout
 from .bytes import LocalFolder
-from .calibrations import Calibrations, Effective
+from .calibrations import Calibrations, Dated, Effective
 from .catalog import Catalog, Row, put
 from .derivations import publish, read_batches
 from .drafts import ScanDraft
 from .log_digest import LogFacts
 from .log_reader import ScanLog
-from .names import scan_word
+from .names import chain_of, scan_word
 from .opening import make_folder, nearest_archive, read_settings
 from .plan import Plan, keys_of, what_changed
 from .projection import (
@@ -106,12 +107,12 @@ class Archive:
         """A draft to write a log into; see :class:`ScanDraft`."""
         return ScanDraft(self.store, keep_part=keep_part)
 
-    def seal(self, draft: ScanDraft, facts: LogFacts) -> ScanSummary:
+    def seal(self, draft: ScanDraft, facts: LogFacts, log_sha256: str | None = None) -> ScanSummary:
         """Make ``draft`` a scan for good and enter it in the catalogue."""
         if facts.calibration is not None:
             # First, so that a sealed scan never names a calibration that is not there.
             self._calibrations.add(facts.calibration)
-        summary = draft.seal(facts)
+        summary = draft.seal(facts, log_sha256)
 
         def enter(c: sqlite3.Connection) -> None:
             put(c, "scans", scan_row(summary))
@@ -152,6 +153,15 @@ class Archive:
     def log(self, scan: str) -> ScanLog:
         """The log of a scan."""
         return ScanLog(self.store.local(layout.scan_file(scan, layout.LOG)))
+
+    def chain(self, scan: str) -> list[ScanSummary]:
+        """The logs of one scan that was resumed, oldest first; of any other, that log alone.
+
+        Logs that were retired are left out, but for ``scan`` itself.
+        """
+        names = chain_of(scan, self.catalog.rows("SELECT scan, continues FROM scans"))
+        living = {r["scan"] for r in self.scan_rows()} | {scan}
+        return [self.scan(n) for n in names if n in living]
 
     # -- events -----------------------------------------------------------------------------------
 
@@ -241,7 +251,7 @@ class Archive:
         """Certifications that stand, oldest first."""
         return self._calibrations.standing()
 
-    def effective(self, scan: ScanSummary, choice: str = "current") -> Effective:
+    def effective(self, scan: Dated, choice: str = "current") -> Effective:
         """The calibration that holds for ``scan``: ``current``, ``recorded``, or an id."""
         return self._calibrations.effective(scan, choice)
 
@@ -298,9 +308,11 @@ class Archive:
         """In words, which input of ``kind`` differs from what was derived before."""
         return what_changed(plan, kind, self.derivations(plan.scan.scan))
 
-    def publish(self, batches: Iterator[pa.RecordBatch], **fields: Any) -> DerivationManifest:
+    def publish(
+        self, kind: Kind, batches: Iterator[pa.RecordBatch], fields: Callable[[], dict[str, Any]]
+    ) -> DerivationManifest:
         """Write, publish and enter one derivation; see :func:`store.derivations.publish`."""
-        manifest = publish(self.store, batches, fields)
+        manifest = publish(self.store, kind, batches, fields)
         self.catalog.enter(lambda c: put(c, "derivations", derivation_row(manifest)))
         return manifest
 

@@ -7,18 +7,38 @@ withdrawn, else the snapshot in the log. ``recorded`` is that snapshot.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 from ..schemas.archive_events import Certified, parse_archive_event
 from ..schemas.calibration import Calibration, parse_calibration
 from ..schemas.document import dump_json
 from ..schemas.errors import CalibrationError
-from ..schemas.manifests import ScanSummary
 from . import layout
 from .bytes import LocalFolder
 from .catalog import Catalog, Row
 from .fold import standing_certifications
 from .names import calibration_word
 from .projection import put_calibration, read_calibration
+
+
+class Dated(Protocol):
+    """What decides which calibration holds: a scan summary, or what is known of one in the making."""
+
+    @property
+    def scan(self) -> str:
+        """The scan's id."""
+
+    @property
+    def rig(self) -> str:
+        """The rig's name."""
+
+    @property
+    def started_ns(self) -> int:
+        """When it began."""
+
+    @property
+    def calibration(self) -> str | None:
+        """Id of the calibration recorded with it."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +97,7 @@ class Calibrations:
             )
         return found
 
-    def effective(self, scan: ScanSummary, choice: str) -> Effective:
+    def effective(self, scan: Dated, choice: str) -> Effective:
         """The calibration that holds for ``scan``: ``current``, ``recorded``, or an id.
 
         Raises
@@ -110,7 +130,7 @@ class Calibrations:
         return self._known[name]
 
 
-def none_holds(scan: ScanSummary, choice: str) -> CalibrationError:
+def none_holds(scan: Dated, choice: str) -> CalibrationError:
     """The error for a scan that no calibration holds for."""
     if choice == "recorded":
         return CalibrationError(

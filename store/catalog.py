@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 from ..schemas.errors import StorageError, TurnscanError
 
 #: Raised when the tables below change: an older file is made again.
-CATALOG_VERSION = 1
+CATALOG_VERSION = 2
 
 _TABLES = """
 CREATE TABLE scans (
@@ -29,8 +29,9 @@ CREATE TABLE scans (
     width_px INTEGER NOT NULL, height_px INTEGER NOT NULL, encoding TEXT NOT NULL,
     angle_min_rad REAL NOT NULL, angle_max_rad REAL NOT NULL, calibration TEXT,
     content_sha256 TEXT NOT NULL, frames_sha256 TEXT NOT NULL, log_bytes INTEGER NOT NULL,
-    document TEXT NOT NULL);
+    continues TEXT, document TEXT NOT NULL);
 CREATE INDEX scans_by_frames ON scans (frames_sha256);
+CREATE INDEX scans_by_continues ON scans (continues) WHERE continues IS NOT NULL;
 CREATE TABLE calibrations (
     calibration TEXT PRIMARY KEY, rig TEXT NOT NULL, note TEXT NOT NULL, sha256 TEXT NOT NULL,
     document TEXT NOT NULL);

@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..schemas.document import dump_json
 from ..schemas.errors import DamageError
-from ..schemas.manifests import DerivationManifest
+from ..schemas.manifests import DerivationManifest, Kind
 from ..schemas.software import __version__
 from ..schemas.tables import TABLES, TableSpec
 from . import layout
@@ -40,18 +40,22 @@ def made_with() -> dict[str, str]:
 
 
 def write_parquet(
-    path: Path, spec: TableSpec, batches: Iterable[pa.RecordBatch], about: dict[str, str]
+    path: Path,
+    spec: TableSpec,
+    batches: Iterable[pa.RecordBatch],
+    about: Callable[[], dict[str, str]],
 ) -> int:
     """Write ``batches`` of ``spec`` to ``path`` and return the number of rows.
 
     Rows must come sorted by the table's order; each batch is checked. Only one row group is held
-    in memory. The bytes depend on the rows, ``about`` and the library alone.
+    in memory. ``about`` is asked after the last batch: what the file says of itself stands at its end.
+    The bytes depend on the rows, ``about`` and the library alone.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     schema = spec.arrow_schema().with_metadata(
-        {"turnscan.table": spec.name, "turnscan.table_version": str(spec.version), **about}
+        {"turnscan.table": spec.name, "turnscan.table_version": str(spec.version)}
     )
     floats = [c.name for c in spec.columns if c.type.startswith("float")]
     order = [pq.SortingColumn(schema.get_field_index(name)) for name in spec.sort_by]
@@ -85,6 +89,7 @@ def write_parquet(
                     held, count = [], 0
         if held:
             writer.write_table(_joined(held, schema), row_group_size=ROW_GROUP_ROWS)
+        writer.add_key_value_metadata(about())
     return rows
 
 
@@ -117,34 +122,42 @@ class _OrderCheck:
 
 
 def publish(
-    store: LocalFolder, batches: Iterable[pa.RecordBatch], fields: dict[str, Any]
+    store: LocalFolder,
+    kind: Kind,
+    batches: Iterable[pa.RecordBatch],
+    fields: Callable[[], dict[str, Any]],
 ) -> DerivationManifest:
     """Write, publish and seal one derivation; returns the manifest that stands.
 
-    ``fields`` are those of :class:`DerivationManifest` but path, rows, bytes, sha256, created_ns,
-    duration_s, made_with and table_version; ``frames_without_stripe`` and ``warnings`` may be given as
-    functions, which are called when the last batch has been taken. If another process published
-    the same key first, its result stands and ours is dropped.
+    ``fields`` is called once, when the last batch has been taken (so a table can be begun before its
+    key is known), and gives those of :class:`DerivationManifest` but kind, path, rows, bytes, sha256,
+    created_ns, duration_s, made_with and table_version. If another process published the same key
+    first, its result stands and ours is dropped.
     """
     began = time.monotonic()
-    spec = TABLES[fields["kind"]]
-    folder = layout.derivation_folder(
-        fields["kind"],
-        recipe=fields["recipe"],
-        calibration=fields["calibration"],
-        scan=fields["scan"],
-    )
-    table_path = layout.table_file(folder, fields["key"])
-    manifest_path = layout.manifest_file(folder, fields["key"])
-    about = {f"turnscan.{k}": str(fields[k]) for k in ("key", "scan", "recipe")}
+    spec = TABLES[kind]
+    values: dict[str, Any] = {}
+
+    def about() -> dict[str, str]:
+        values.update(fields())
+        return {f"turnscan.{k}": str(values[k]) for k in ("key", "scan", "recipe")}
+
     with store.staged(".parquet") as aside:
         try:
             rows = write_parquet(aside, spec, batches, about)
             size, sha256 = aside.stat().st_size, file_sha256(aside)
         except OSError as error:
             raise storage_error(error, aside) from error
-        values = {k: v() if callable(v) else v for k, v in fields.items()}
+        folder = layout.derivation_folder(
+            kind,
+            recipe=values["recipe"],
+            calibration=values["calibration"],
+            scan=values["scan"],
+        )
+        table_path = layout.table_file(folder, values["key"])
+        manifest_path = layout.manifest_file(folder, values["key"])
         manifest = DerivationManifest(
+            kind=kind,
             **values,
             path=table_path,
             table_version=spec.version,

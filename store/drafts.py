@@ -76,11 +76,14 @@ class ScanDraft:
         """Read the finished log back from disk, every CRC checked."""
         return digest_log(ScanLog(self.part), advance)
 
-    def seal(self, facts: LogFacts) -> ScanSummary:
-        """Rename the log, write scan.json, and the manifest last; all of it durable."""
+    def seal(self, facts: LogFacts, log_sha256: str | None = None) -> ScanSummary:
+        """Rename the log, write scan.json, and the manifest last; all of it durable.
+
+        ``log_sha256`` is the digest of the whole file, where somebody has read all of it already.
+        """
         try:
             fsync_file(self.part)
-            summary = summary_of(facts, self.part, scan=self.scan)
+            summary = summary_of(facts, self.part, scan=self.scan, log_sha256=log_sha256)
             text = dump_json(summary.plain())
             log_path = self._folder / layout.LOG
             self.part.rename(log_path)
@@ -116,7 +119,7 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def summary_of(facts: LogFacts, log: Path, *, scan: str) -> ScanSummary:
+def summary_of(facts: LogFacts, log: Path, *, scan: str, log_sha256: str | None = None) -> ScanSummary:
     """scan.json of a log with these facts."""
     start = facts.start
     return ScanSummary(
@@ -142,6 +145,7 @@ def summary_of(facts: LogFacts, log: Path, *, scan: str) -> ScanSummary:
         content_sha256=facts.content_sha256,
         frames_sha256=facts.frames_sha256,
         log_bytes=log.stat().st_size,
-        log_sha256=file_sha256(log),
+        log_sha256=log_sha256 or file_sha256(log),
         salvaged_from=start.salvaged_from,
+        continues=start.continues,
     )

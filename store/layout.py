@@ -13,6 +13,8 @@ LOG = "scan.mcap"
 PART = "scan.mcap.part"
 SUMMARY = "scan.json"
 MANIFEST = "manifest-sha256.txt"
+#: In the folder of an unsealed scan: what it was salvaged into.
+SALVAGED = "salvaged.txt"
 
 
 def scan_file(scan: str, name: str) -> str:

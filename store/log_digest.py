@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -147,12 +148,20 @@ class LogDigest:
         )
 
 
+def digested_items(log: ScanLog, digest: LogDigest) -> Iterator[LogEvent | LogFrame]:
+    """The items of a log in time order, each taken into ``digest`` before it is given."""
+    exposures: dict[str, Exposure] = {}
+    for topic, schema, message in log.messages():
+        item = log.item(topic, schema, message, exposures)
+        digest.update(topic, message, item)
+        if item is not None:
+            yield item
+
+
 def digest_log(log: ScanLog, advance: Any = None) -> LogFacts:
     """Facts and digests of a whole log in one pass, every CRC checked on the way."""
     digest = LogDigest(str(log.path))
-    exposures: dict[str, Exposure] = {}
-    for n, (topic, schema, message) in enumerate(log.messages()):
-        digest.update(topic, message, log.item(topic, schema, message, exposures))
+    for n, _ in enumerate(digested_items(log, digest)):
         if advance is not None:
             advance(n)
     return digest.facts()

@@ -15,7 +15,7 @@ from ..schemas.channels import topic_of
 from ..schemas.errors import DamageError
 from ..schemas.events import CalibrationSnapshot, Exposure, LogEvent, ScanStart
 from ..schemas.image_messages import RAW_IMAGE, ImageMessage, decode_image
-from .log_records import LogMessage, damaged, read_messages
+from .log_records import Growth, LogMessage, damaged, read_messages
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -73,10 +73,11 @@ def decode_image_file(data: Any, *, where: str) -> npt.NDArray[Any]:
 
 
 class ScanLog:
-    """A sealed (or finished) scan log on disk."""
+    """A sealed (or finished) scan log on disk; with ``growth``, one that is still being written."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, growth: Growth | None = None) -> None:
         self.path = path
+        self._growth = growth
 
     def messages(self) -> Iterator[tuple[str, str, LogMessage]]:
         """(topic, schema name, message) of the whole log in time order.
@@ -87,7 +88,7 @@ class ScanLog:
             Any byte of the file is not what was written, at the latest after the last message.
         """
         last = -1
-        for schema, channel, message in read_messages(self.path):
+        for schema, channel, message in read_messages(self.path, growth=self._growth):
             if message.log_time < last:
                 raise damaged(self.path, 0, f"{channel.topic} steps back in time from {last}")
             last = message.log_time

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import zstandard
 from isal import isal_zlib
@@ -38,7 +38,7 @@ from mcap.records import (
 )
 
 from ..schemas.channels import PROFILE
-from ..schemas.errors import DamageError, StorageError
+from ..schemas.errors import CutOffError, DamageError, StorageError
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 _THREAD = threading.local()
@@ -89,6 +89,21 @@ def damaged(path: Path, offset: int, what: str) -> DamageError:
         f"{path}: damaged at byte {offset}: {what}",
         hint="restore the file from a copy; turnscan repair salvages what is whole",
     )
+
+
+def _cut_off(file: Any, path: Path, offset: int, what: str) -> DamageError:
+    """The error for a file that is too short at ``offset``. One that ends as it should was not cut:
+    then it is the length that is wrong.
+    """
+    file.seek(-len(MAGIC), io.SEEK_END)
+    error = damaged(path, offset, what)
+    return error if file.read() == MAGIC else CutOffError(error.message, hint=error.hint)
+
+
+def _has_footer(data: memoryview) -> bool:
+    """Whether a footer (20 bytes) and a magic, right or wrong, end ``data``."""
+    at = len(data) - len(MAGIC) - 20 - _RECORD_HEAD.size
+    return at >= 0 and _RECORD_HEAD.unpack_from(data, at) == (Opcode.FOOTER, 20)
 
 
 def parse_record(opcode: int, body: bytes | memoryview, path: Path, offset: int) -> Any:
@@ -211,13 +226,24 @@ def _body(file: Any, length: int, scratch: list[bytearray]) -> memoryview:
     return view[: file.readinto(view)]
 
 
+class Growth(Protocol):
+    """What a walk asks while another process still writes the file."""
+
+    def wait_for(self, size: int | None) -> int:
+        """The file's size, once it is at least ``size``, or (None) once nothing more will come."""
+
+    def take(self, data: bytes | memoryview) -> None:
+        """Called with every byte of the file, in order."""
+
+
 class RecordWalk:
     """One pass over a file. Iterating yields (offset, record); ``library`` and ``profile`` are set
-    by the first record.
+    by the first record. With ``growth`` records are read as they are written.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, growth: Growth | None = None) -> None:
         self.path = path
+        self._growth = growth
         self.profile = ""
         self.library = ""
 
@@ -233,23 +259,29 @@ class RecordWalk:
             raise StorageError(f"{self.path}: cannot be read ({error.strerror})") from error
 
     def _walk(self, file: Any, size: int) -> Iterator[tuple[int, Any]]:
+        size = self._reach(len(MAGIC), size)
         magic = file.read(len(MAGIC))
         if magic != MAGIC:
             raise damaged(self.path, 0, "it does not begin as an MCAP file")
+        self._taken(magic)
         crc = isal_zlib.crc32(magic)
         offset = len(magic)
         strict = False
         scratch = [bytearray()]
         while True:
+            size = self._reach(offset + 9, size)
             head = file.read(9)
             if len(head) < 9:
-                raise damaged(self.path, offset, "the file ends before its data section does")
+                raise _cut_off(file, self.path, offset, "the file ends before its data section does")
             opcode, length = _RECORD_HEAD.unpack(head)
+            size = self._reach(offset + 9 + length, size)
             if length > size - offset - 9:
-                raise damaged(self.path, offset, f"a record of {length} bytes runs past the end")
+                what = f"a record of {length} bytes runs past the end"
+                raise _cut_off(file, self.path, offset, what)
             body = _body(file, length, scratch) if opcode == Opcode.CHUNK else file.read(length)
             if len(body) != length:
                 raise damaged(self.path, offset, "the file is shorter than it was")
+            self._taken(head, body)
             if opcode == Opcode.DATA_END:
                 record = parse_record(opcode, body, self.path, offset)
                 if (record.data_section_crc or strict) and record.data_section_crc != crc:
@@ -274,6 +306,17 @@ class RecordWalk:
                     yield offset, record
             offset += 9 + length
 
+    def _reach(self, wanted: int | None, size: int) -> int:
+        """The file's size, after waiting for ``wanted`` bytes of a file that grows."""
+        if self._growth is None or (wanted is not None and wanted <= size):
+            return size
+        return self._growth.wait_for(wanted)
+
+    def _taken(self, *parts: bytes | memoryview) -> None:
+        if self._growth is not None:
+            for part in parts:
+                self._growth.take(part)
+
     def _check_attachment(self, body: bytes | memoryview, offset: int) -> None:
         """The CRC stands right after the data; a record may be longer than its fields."""
         try:
@@ -288,9 +331,14 @@ class RecordWalk:
             raise damaged(self.path, offset, "the CRC of an attachment does not fit")
 
     def _summary(self, file: Any, begin: int, *, strict: bool) -> Iterator[tuple[int, Any]]:
+        self._reach(None, 0)
         data = memoryview(file.read())
+        self._taken(data)
         if bytes(data[-len(MAGIC) :]) != MAGIC:
-            raise damaged(self.path, begin + len(data), "it does not end as an MCAP file")
+            what = "it does not end as an MCAP file"
+            if _has_footer(data):  # Nothing is missing: the last bytes are wrong.
+                raise damaged(self.path, begin + len(data), what)
+            raise _cut_off(file, self.path, begin + len(data), what)
         end = len(data) - len(MAGIC)
         at = 0
         while at < end:
@@ -316,7 +364,7 @@ class RecordWalk:
 
 
 def read_messages(
-    path: Path, topics: set[str] | None = None
+    path: Path, topics: set[str] | None = None, growth: Growth | None = None
 ) -> Iterator[tuple[Schema | None, Channel, LogMessage]]:
     """Messages of any MCAP file in file order, with their channel and schema.
 
@@ -328,7 +376,7 @@ def read_messages(
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     # The summary repeats schemas and channels; they are checked by the walk and change nothing.
-    for offset, record in RecordWalk(path):
+    for offset, record in RecordWalk(path, growth):
         if isinstance(record, LogMessage):
             channel = channels.get(record.channel_id)
             if channel is None:

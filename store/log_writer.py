@@ -229,9 +229,9 @@ class LogWriter:
     def _write(self, parts: Sequence[Buffer]) -> None:
         views = [memoryview(p) for p in parts if len(p)]
         size = sum(len(v) for v in views)
+        crc = self._crc
         for view in views:
-            self._crc = isal_zlib.crc32(view, self._crc)
-        self._offset += size
+            crc = isal_zlib.crc32(view, crc)
         try:
             while views:
                 written = os.writev(self._file.fileno(), views[:512])
@@ -241,6 +241,7 @@ class LogWriter:
                     views[0] = views[0][written:]
         except OSError as error:
             raise self._refused(error, size) from error
+        self._crc, self._offset = crc, self._offset + size
 
     def _refused(self, error: OSError, size: int) -> StorageError:
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
@@ -249,6 +250,40 @@ class LogWriter:
                 hint="free some space; what was flushed before is kept (turnscan repair)",
             )
         return StorageError(f"{self.path}: writing failed ({error.strerror})")
+
+    def drop_unwritten(self) -> int:
+        """After a refused write: take back what did not get to the disk whole; returns the messages.
+
+        The file then ends with the last chunk that was written, and the log can be finished, if there
+        is room for a summary.
+        """
+        try:
+            os.ftruncate(self._file.fileno(), self._offset)
+            self._file.seek(self._offset)
+        except OSError as error:
+            raise self._refused(error, 0) from error
+        lost = 0
+        for channel, entries in self._chunk.index.items():
+            self._counts[channel] -= len(entries)
+            lost += len(entries)
+        self._chunk.start()
+        return lost
+
+    @property
+    def images(self) -> int:
+        """Frames in the log so far."""
+        topics = {c.id for (topic, _), c in self._channels.items() if topic.endswith("/image")}
+        return sum(n for channel, n in self._counts.items() if channel in topics)
+
+    @property
+    def last_t_ns(self) -> int:
+        """Time of the last message; -1 before the first."""
+        return self._last_t_ns
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes written to the file so far."""
+        return self._offset
 
     def finish(self) -> None:
         """Write the summary and make the whole file durable. Nothing can be added afterwards."""

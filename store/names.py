@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..schemas.errors import NotFoundError
@@ -25,9 +25,37 @@ def scan_word(word: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     ):
         if len(found) == 1:
             return found[0]
+        # A label is shared by the logs of a scan that was resumed: its first one stands for it.
+        if found and {r["scan"] for r in found} <= set(chain_of(found[0]["scan"], rows)):
+            return min(found, key=lambda r: str(r["scan"]))
         if found:
             raise _several("scan", word, [r["scan"] for r in found])
     raise NotFoundError(f"no scan {word!r}", hint="turnscan scan list shows all")
+
+
+def chain_of(scan: str, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Ids of the logs that ``scan`` continues, itself, and those that continue it, oldest first.
+
+    ``rows`` have ``scan`` and ``continues``. A log that two others continue leads to both.
+    """
+    before = {str(r["scan"]): r["continues"] for r in rows if r["continues"]}
+    first = scan
+    seen = {scan}
+    while before.get(first) and before[first] not in seen:
+        first = str(before[first])
+        seen.add(first)
+    known = {str(r["scan"]) for r in rows}
+    after: dict[str, list[str]] = {}
+    for name, earlier in before.items():
+        after.setdefault(str(earlier), []).append(name)
+    out: list[str] = []
+    waiting = [first]
+    while waiting:
+        name = waiting.pop(0)
+        if name not in out:
+            out.append(name)
+            waiting += sorted(after.get(name, []))
+    return [n for n in out if n in known]
 
 
 def calibration_word(word: str, rows: Sequence[dict[str, Any]]) -> str:

@@ -83,6 +83,7 @@ _SCAN_COLUMNS = (
     *("scan", "rig", "label", "tags", "source", "started_ns", "ended_ns", "ended", "frames"),
     *("background_frames", "cameras", "lasers", "width_px", "height_px", "encoding"),
     *("angle_min_rad", "angle_max_rad", "calibration", "content_sha256", "frames_sha256", "log_bytes"),
+    "continues",
 )
 _DERIVATION_COLUMNS = (
     *("key", "kind", "scan", "recipe", "calibration", "rows", "bytes", "sha256", "path", "frames"),

@@ -30,7 +30,7 @@ _ASIDE = re.compile(r"'(?:[^']|'')*'|--[^\n]*|/\*.*?\*/", re.DOTALL)
 _CATALOG = {
     "scans": "SELECT scan, rig, label, tags, retired, source, started_ns, ended_ns, ended, frames, "
     "background_frames, lasers, width_px, height_px, encoding, angle_min_rad, angle_max_rad, "
-    "calibration, content_sha256, frames_sha256, log_bytes FROM scans ORDER BY scan",
+    "calibration, content_sha256, frames_sha256, log_bytes, continues FROM scans ORDER BY scan",
     "calibrations": "SELECT calibration, rig, note, sha256, document FROM calibrations ORDER BY 1",
     "events": "SELECT event, kind, t_ns, document FROM events ORDER BY event",
     "references": "SELECT event, t_ns, document FROM events WHERE kind = 'referenced' ORDER BY event",

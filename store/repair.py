@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 
 from ..schemas.errors import ConflictError, TurnscanError
 from ..schemas.events import CalibrationSnapshot
+from ..schemas.manifests import ScanSummary
 from . import layout
 from .bytes import STAGING, LocalFolder
 from .drafts import DraftLock
 from .log_reader import snapshot_calibration
 from .projection import manifests_of_derivations, read_manifest
-from .salvage import salvage_log
+from .salvage import Salvage, salvage_log
 from .verify import stray_tables, table_damage
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
 #: Where damaged derivations go: never globbed, never read, for the user to look at.
 QUARANTINE = "quarantine"
-_SALVAGED = "salvaged.txt"
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def _salvage_parts(archive: Archive, *, dry_run: bool) -> list[Repair]:
     for scan in store.list(layout.SCANS):
         folder = f"{layout.SCANS}/{scan}"
         names = store.list(folder)
-        if layout.MANIFEST in names or _SALVAGED in names:
+        if layout.MANIFEST in names or layout.SALVAGED in names:
             continue
         part = layout.PART if layout.PART in names else layout.LOG if layout.LOG in names else None
         try:
@@ -78,19 +78,35 @@ def _salvage_parts(archive: Archive, *, dry_run: bool) -> list[Repair]:
 
 
 def _salvage(archive: Archive, path: str, scan: str) -> Repair:
-    store = archive.store
     try:
-        with archive.new_scan() as draft:
-            saved = salvage_log(store.local(path), draft.part, scan=draft.scan, salvaged_from=scan)
-            summary = archive.seal(draft, draft.examine())
+        summary, saved = salvage_scan(archive, path, scan)
     except TurnscanError as error:
         return Repair(path, f"cannot be salvaged: {error}")
-    lost = "; ".join(saved.lost) or "nothing but its end"
+    return Repair(path, f"salvaged {saved.frames} frames into {summary.scan}; lost: {_losses(saved)}")
+
+
+def salvage_scan(archive: Archive, path: str, scan: str) -> tuple[ScanSummary, Salvage]:
+    """Make a new scan of all that is whole in the unsealed log ``path`` of ``scan``.
+
+    The caller holds the scan's :class:`DraftLock`.
+
+    Raises
+    ------
+    TurnscanError
+        Nothing can be saved; the file is as it was.
+    """
+    store = archive.store
+    with archive.new_scan() as draft:
+        saved = salvage_log(store.local(path), draft.part, scan=draft.scan, salvaged_from=scan)
+        summary = archive.seal(draft, draft.examine())
     # The old file is kept as it is; this note keeps a second repair from salvaging it again.
-    store.put_if_absent(
-        layout.scan_file(scan, _SALVAGED), f"salvaged into {summary.scan}; lost: {lost}\n".encode()
-    )
-    return Repair(path, f"salvaged {saved.frames} frames into {summary.scan}; lost: {lost}")
+    note = f"salvaged into {summary.scan}; lost: {_losses(saved)}\n"
+    store.put_if_absent(layout.scan_file(scan, layout.SALVAGED), note.encode())
+    return summary, saved
+
+
+def _losses(saved: Salvage) -> str:
+    return "; ".join(saved.lost) or "nothing but its end"
 
 
 def _restore_calibrations(archive: Archive, *, dry_run: bool) -> list[Repair]:

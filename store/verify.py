@@ -71,6 +71,8 @@ def verify(archive: Archive, advance: Advance | None = None) -> list[Finding]:
 def _scan(store: LocalFolder, scan: str) -> list[Finding]:
     manifest_path = layout.scan_file(scan, layout.MANIFEST)
     if store.head(manifest_path) is None:
+        if store.head(layout.scan_file(scan, layout.SALVAGED)) is not None:
+            return []  # Kept for what it is; the scan that it was salvaged into is checked itself.
         return [
             Finding(
                 f"{layout.SCANS}/{scan}",

@@ -31,7 +31,7 @@ def test_every_channel_is_in_the_docs() -> None:
     from turnscan.schemas.channels import TOPICS
 
     for topic in TOPICS:
-        shown = topic.replace("{camera}", "<id>")
+        shown = topic.replace("{camera}", "<id>").replace("{laser}", "<laser>")
         assert f"`{shown}`" in FORMAT, f"docs/format.md does not mention {shown}"
 
 
@@ -70,3 +70,13 @@ def test_versions_agree() -> None:
 
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert project["version"] == __version__
+
+
+def test_the_scene_in_the_format_page_is_a_real_document() -> None:
+    from turnscan.ingest.room.built_in import desk_calibration
+    from turnscan.ingest.room.rig import SimulatedRig
+    from turnscan.schemas.scene import parse_scene_file
+
+    (text,) = re.findall(r"```toml\n(.*?)```", FORMAT, re.DOTALL)
+    scene = parse_scene_file(text.encode(), where="docs/format.md")
+    assert SimulatedRig(desk_calibration(), lasers=[0], emitters=scene.lasers).fans[0].laser == 0

@@ -1,160 +1,168 @@
-"""Render what the camera sees of the laser line, with the exact truth of every row.
-
-The laser's fan is cast ray by ray; where the picture of the line crosses the middle of an image row,
-the fan angle is solved for, so that truth has no sampling error. Shadows are real: a point must be seen
-by the laser first (nearest hit) and by the camera second (nothing in between). Rays are 0.03 degrees
-apart; what lies between the last one on a surface and the edge behind it, a row at most, stays dark.
-"""
+"""Render the frame that the camera takes of the laser lines, with the exact truth of every row."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from .rig import SimulatedRig, forward_project
-from .scene import Floats, Ints, Scene
+from ...schemas.calibration import Intrinsics
+from ...schemas.scene import Light, Sensor
+from .noise import expose, key_of, normal_table, strike
+from .rays import Floats, Ints
+from .rig import Fan, Pose, SimulatedRig, Stripe
+from .scene import Scene
+from .stripe import along_row, draw, optics
+from .trace import RANGE, ROW, SHAPE, U, X, Z, trace
 
-_FAN_RAYS = 3000
-_FAN_HALF_RAD = math.radians(40.0)
-_REFINEMENTS = 5
-#: A row that is not met this well belongs to an edge that the two rays beside it both missed.
-_EXACT_PX = 1e-9
+Encoding = Literal["mono8", "mono16", "bgr8"]
+Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
-
-@dataclass(frozen=True)
-class Light:
-    """How bright and how noisy: grey values in DN, lengths in mm, widths in px."""
-
-    ambient_dn: float = 12.0
-    #: Stripe amplitude on a white wall, square to the beam, one metre from the laser.
-    stripe_dn_at_1m: float = 900.0
-    width_px: float = 1.8
-    noise_dn: float = 2.0
-    shot_dn_per_dn: float = 0.02
-    #: Share of pixels hit by impulse noise.
-    impulses: float = 0.0
+#: What one grey value of an 8-bit frame is in a frame of each encoding; both end at their white.
+SCALES: Final = {"mono8": 1, "bgr8": 1, "mono16": 257}
+#: What is drawn for: noise, impulses and speckle of one frame have keys of their own.
+_NOISE, _IMPULSES, SPECKLE = range(3)
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Stripe points by row: sub-pixel place in the (distorted) frame, and the scene point behind it.
+    """One laser's stripe points, by row: sub-pixel place in the (distorted) frame, and what is there.
 
-    Rows may hold several points, behind one another as seen along the line; all are listed.
+    For a horizontal stripe ``row`` is a column and ``u_px`` runs down. Rows may hold several points,
+    behind one another as seen along the line; all are listed. ``points_mm`` (N, 3) are in scene space;
+    ``surface`` counts the shapes of the scene; ``amplitude_dn`` (peak) is in the frame's grey values,
+    before saturation; ``width_px`` is the standard deviation of the profile along the row.
     """
 
+    laser: int
+    stripe: Stripe
     row: Ints
     u_px: Floats
     amplitude_dn: Floats
+    width_px: Floats
     points_mm: Floats
     range_mm: Floats
+    surface: Ints
 
 
 @dataclass(frozen=True)
 class Rendered:
-    """A frame (H, W) uint8 and its truth."""
+    """A frame, (H, W) uint8 or uint16 or (H, W, 3) uint8, and the truth of each lit laser."""
 
-    image: npt.NDArray[np.uint8]
-    truth: Truth
+    image: Image
+    truth: dict[int, Truth]
 
 
 def render(
-    scene: Scene, rig: SimulatedRig, angle_rad: float, *, seed: int, light: Light | None = None
+    scene: Scene,
+    rig: SimulatedRig,
+    angle_rad: float,
+    *,
+    seed: int,
+    frame: int = 0,
+    lasers: Iterable[int] | None = None,
+    exposure_us: float | None = None,
+    light: Light | None = None,
+    sensor: Sensor | None = None,
+    encoding: Encoding = "mono8",
 ) -> Rendered:
-    """The frame at ``angle_rad``; equal arguments give equal frames."""
-    lamp = light or Light()
-    truth = _truth(scene, rig, angle_rad, lamp)
-    camera = rig.camera
-    shape = (camera.height_px, camera.width_px)
-    clean = np.full(shape, lamp.ambient_dn, np.float64)
-    _draw(clean, truth, lamp.width_px)
-    rng = np.random.default_rng(seed)
-    sigma = np.sqrt(lamp.noise_dn**2 + lamp.shot_dn_per_dn * clean)
-    noisy = clean + sigma * rng.standard_normal(shape)
-    if lamp.impulses:
-        struck = rng.random(shape) < lamp.impulses
-        noisy[struck] = rng.integers(0, 2, int(struck.sum())) * 255.0
-    return Rendered(np.clip(np.rint(noisy), 0, 255).astype(np.uint8), truth)
+    """The frame at ``angle_rad`` with ``lasers`` lit (None: all); equal arguments give equal bytes.
 
-
-def _truth(scene: Scene, rig: SimulatedRig, angle_rad: float, lamp: Light) -> Truth:
+    Noise depends on seed and frame number, speckle on seed and angle: it stands still with the scene.
+    ``exposure_us`` (None: the nominal one) scales all light.
+    """
+    lamp, chip = light or Light(), sensor or Sensor()
     pose = rig.pose(angle_rad)
-    emitter = pose.to_scene(rig.emitter_mm()[None])[0]
-
-    def shine(fan: Floats) -> tuple[Floats, Ints, Floats, Floats]:
-        """Points, surfaces, and image positions of the light at fan angles (N,)."""
-        hits = scene.cast(emitter, rig.fan(fan) @ pose.scene_from_camera.T)
-        # Rays that end nowhere have points at infinity.
-        with np.errstate(invalid="ignore", divide="ignore"):
-            seen = pose.to_camera(hits.points_mm)
-            u, v = forward_project(seen, rig.camera)
-        ahead = np.isfinite(hits.distance_mm) & (seen[:, 2] > 1.0)
-        return hits.points_mm, np.where(ahead, hits.surface, -1), u, v
-
-    fan = np.linspace(-_FAN_HALF_RAD, _FAN_HALF_RAD, _FAN_RAYS)
-    _, surface, _, v = shine(fan)
-    left, right, row = _crossings(surface, v, rig.camera.height_px)
-    # Regula falsi; an end that stays has its error halved, so that it cannot stay for long (Illinois).
-    old, new, v_old, v_new = fan[left], fan[right], v[left] - row, v[right] - row
-    for _ in range(_REFINEMENTS):
-        step = np.divide(v_new, v_new - v_old, out=np.zeros_like(new), where=v_new != v_old)
-        middle = new - step * (new - old)
-        points, found, u, v_now = shine(middle)
-        v_middle = v_now - row
-        crossed = v_middle * v_new < 0
-        old, v_old = np.where(crossed, new, old), np.where(crossed, v_new, v_old / 2)
-        new, v_new = middle, v_middle
-    width = rig.camera.width_px
-    good = (found == surface[left]) & (np.abs(v_new) < _EXACT_PX) & (u > -0.5) & (u < width - 0.5)
-    points, found, u, row = points[good], found[good], u[good], row[good]
-    away = points - pose.camera_mm
-    distance = np.sqrt((away**2).sum(axis=1))
-    first = scene.cast(pose.camera_mm, away / distance[:, None]).distance_mm
-    clear = first > distance * (1 - 1e-9) - 1e-6
-    points, found, u, row, distance = (a[clear] for a in (points, found, u, row, distance))
-    beam = emitter - points
-    reach = np.sqrt((beam**2).sum(axis=1))
-    bright = scene.reflectance(points, found, beam / reach[:, None])
-    # A line laser's light thins out with the distance once, not twice: it spreads in one plane.
-    amplitude = lamp.stripe_dn_at_1m * bright * 1000.0 / reach
-    order = np.lexsort((u, row))
-    return Truth(row[order], u[order], amplitude[order], points[order], distance[order])
+    gain = 1.0 if exposure_us is None else exposure_us / lamp.exposure_us
+    picture = ambient(rig.camera, lamp, gain, encoding)
+    truth: dict[int, Truth] = {}
+    for laser in sorted(rig.fans if lasers is None else set(lasers)):
+        fan = rig.fan(laser)
+        found, peak, sigma = lit_points(scene, rig, fan, pose, lamp)
+        truth[laser] = as_truth(fan, found, peak * gain * SCALES[encoding], along_row(found, sigma))
+        points = np.column_stack([found[:, ROW], found[:, U], peak * gain, along_row(found, sigma)])
+        add_stripe(picture, fan, points, chip, key_of(seed, SPECKLE, laser, float(angle_rad)))
+    return Rendered(develop(picture, chip, encoding, seed=seed, frame=frame), truth)
 
 
-def _crossings(surface: Ints, v: Floats, height: int) -> tuple[Ints, Ints, Ints]:
-    """Neighbouring fan rays on one surface with the middle of an image row between them."""
-    joined = (surface[:-1] == surface[1:]) & (surface[:-1] >= 0)
-    low, high = np.minimum(v[:-1], v[1:]), np.maximum(v[:-1], v[1:])
-    # Half open: a ray that meets the middle of a row exactly belongs to one of its two neighbours.
-    with np.errstate(invalid="ignore"):
-        first = np.floor(np.where(joined, low, 0.0)).astype(np.int64) + 1
-        last = np.floor(np.where(joined, high, -1.0)).astype(np.int64)
-    first, last = np.maximum(first, 0), np.minimum(last, height - 1)
-    count = np.where(joined, np.maximum(last - first + 1, 0), 0)
-    left = np.repeat(np.arange(len(count)), count)
-    row = first[left] + np.arange(len(left)) - np.repeat(np.cumsum(count) - count, count)
-    return left, left + 1, row
+def lit_points(
+    scene: Scene, rig: SimulatedRig, fan: Fan, pose: Pose, light: Light
+) -> tuple[Floats, Floats, Floats]:
+    """What :func:`~.trace.trace` lists, with peak (DN of 8 bit, nominal exposure) and width (px)."""
+    found = trace(scene, rig, fan, pose)
+    f_px = (rig.camera.fx_px + rig.camera.fy_px) / 2
+    made = optics(found, scene.albedo, fan.shine, light, f_px)
+    return found, made[:, 0], made[:, 1]
 
 
-def _draw(image: Floats, truth: Truth, width_px: float) -> None:
-    """Add each point's Gaussian profile, integrated over the pixels of its row."""
-    half = math.ceil(5 * width_px) + 1
-    column = np.rint(truth.u_px).astype(np.int64)[:, None] + np.arange(-half, half + 1)
-    scale = 1.0 / (width_px * math.sqrt(2.0))
-    edges = np.concatenate([column - 0.5, column[:, -1:] + 0.5], axis=1)
-    steps = np.diff(_erf((edges - truth.u_px[:, None]) * scale), axis=1)
-    light = truth.amplitude_dn[:, None] * width_px * math.sqrt(math.pi / 2.0) * steps
-    inside = (column >= 0) & (column < image.shape[1])
-    row = np.broadcast_to(truth.row[:, None], column.shape)
-    np.add.at(image, (row[inside], column[inside]), light[inside])
+def as_truth(fan: Fan, found: Floats, amplitude_dn: Floats, width_px: Floats) -> Truth:
+    """The truth of one laser from what was traced."""
+    return Truth(
+        laser=fan.laser,
+        stripe=fan.stripe,
+        row=found[:, ROW].astype(np.int64),
+        u_px=found[:, U].copy(),
+        amplitude_dn=amplitude_dn,
+        width_px=width_px,
+        points_mm=found[:, X : Z + 1].copy(),
+        range_mm=found[:, RANGE].copy(),
+        surface=found[:, SHAPE].astype(np.int64),
+    )
 
 
-def _erf(x: Floats) -> Floats:
-    """The error function, by interpolation in a table of exact values (error below 1e-9)."""
-    return np.interp(x, _ERF_AT, _ERF)
+def ambient(
+    camera: Intrinsics, light: Light, gain: float, encoding: Encoding
+) -> npt.NDArray[np.float32]:
+    """Ambient light (H, W, C) over the frame, DN of 8 bit."""
+    height, width = camera.height_px, camera.width_px
+    share = np.array(light.ambient_bgr if encoding == "bgr8" else (1.0,), np.float32)
+    if light.ambient_gradient_dn == (0.0, 0.0):
+        out = np.empty((height, width, len(share)), np.float32)
+        out[:] = np.float32(light.ambient_dn * gain) * share
+        return out
+    x, y = (np.arange(n) / n - 0.5 for n in (width, height))
+    by_x, by_y = light.ambient_gradient_dn
+    plane = np.maximum(light.ambient_dn + by_x * x + (by_y * y)[:, None], 0.0) * gain
+    return plane.astype(np.float32)[:, :, None] * share
 
 
-_ERF_AT = np.linspace(-6.0, 6.0, 120_001)
-_ERF = np.array([math.erf(a) for a in _ERF_AT])
+def add_stripe(
+    picture: npt.NDArray[np.float32], fan: Fan, points: Floats, sensor: Sensor, key: np.uint64
+) -> None:
+    """Draw points (N, 4) of row, u, peak and width into the light (H, W, C), speckle included."""
+    share = fan.shine.colour_bgr if picture.shape[2] == 3 else (1.0,)
+    draw(
+        picture,
+        points,
+        np.array(share, np.float32),
+        horizontal=fan.stripe == "horizontal",
+        speckle=(sensor.speckle_contrast, sensor.speckle_grain_px, key),
+        table=normal_table(),
+    )
+
+
+def develop(
+    picture: npt.NDArray[np.float32], sensor: Sensor, encoding: Encoding, *, seed: int, frame: int
+) -> Image:
+    """The frame that the sensor makes of light (H, W, C): noise, impulses, saturation, whole values."""
+    scale = SCALES[encoding]
+    out = np.empty(picture.size, np.uint16)
+    expose(
+        picture.reshape(-1),
+        key_of(seed, _NOISE, frame),
+        normal_table(),
+        sensor.noise_dn,
+        sensor.shot_dn_per_dn,
+        sensor.saturation_dn,
+        float(scale),
+        out,
+    )
+    channels = picture.shape[2]
+    if sensor.impulse_share > 0.0:
+        key = key_of(seed, _IMPULSES, frame)
+        strike(out, channels, sensor.impulse_share, key, round(255 * scale))
+    shape = picture.shape if channels == 3 else picture.shape[:2]
+    return out.reshape(shape) if encoding == "mono16" else out.astype(np.uint8).reshape(shape)

@@ -1,175 +1,183 @@
-"""What stands in the simulated room: shapes with their own ray intersections, in scene space (mm)."""
+"""A scene made ready for rays: the document's shapes as arrays, meshes read and sorted into a tree."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
+from ...schemas import scene as document
+from ...schemas.errors import InputError
+from .mesh_reading import read_mesh
+from .rays import BOX, CYLINDER, NUMBERS, PLANE, ROOM, SPHERE, Floats, Ints, Packed, cast_all
+
+#: Triangles in a leaf of the tree.
+_LEAF = 4
 
 
-class Shape(Protocol):
-    """Something that light falls on."""
-
-    @property
-    def albedo(self) -> float:
-        """Share of the light that is scattered back, 0 to 1."""
-
-    def hit(self, origin: Floats, direction: Floats) -> tuple[Floats, Ints]:
-        """Distance (N,) along unit rays (N, 3) to the first hit, inf for none, and the face hit."""
-
-    def normal(self, points: Floats, face: Ints) -> Floats:
-        """Unit normals (N, 3) at points on the surface."""
-
-
-def _slabs(
-    origin: Floats, direction: Floats, low: Floats, high: Floats
-) -> tuple[Floats, Floats, Ints, Ints]:
-    """Entry and exit distance of an axis-aligned box, and the axes on which they happen."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a, b = (low - origin) / direction, (high - origin) / direction
-    # A ray along a slab is in it all the way or never; on its very face 0 / 0 would say neither.
-    along, inside = direction == 0, (origin >= low) & (origin <= high)
-    near = np.where(along, np.where(inside, -np.inf, np.inf), np.minimum(a, b))
-    far = np.where(along, np.where(inside, np.inf, -np.inf), np.maximum(a, b))
-    return near.max(axis=1), far.min(axis=1), near.argmax(axis=1), far.argmin(axis=1)
-
-
-def _axis_normal(direction_sign: Floats, axis: Ints) -> Floats:
-    out = np.zeros((len(axis), 3))
-    out[np.arange(len(axis)), axis] = direction_sign
+def turned(turn_deg: Sequence[float]) -> Floats:
+    """Rotation (3, 3) by angles about x, then y, then z: ``scene_from_shape``."""
+    out = np.eye(3)
+    for axis, angle in enumerate(turn_deg):
+        quarter, rest = divmod(angle, 90.0)
+        # Quarter turns are exact, so that a box turned by 90 degrees is still square to the axes.
+        c, s = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[int(quarter) % 4]
+        if rest:
+            c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+        i, j = ((1, 2), (2, 0), (0, 1))[axis]
+        step = np.eye(3)
+        step[i, i], step[i, j], step[j, i], step[j, j] = c, -s, s, c
+        out = step @ out
     return out
 
 
 @dataclass(frozen=True)
-class Walls:
-    """The inside of an axis-aligned box: four walls, floor and ceiling. Faces 0-5: axis * 2 + side."""
-
-    low_mm: tuple[float, float, float]
-    high_mm: tuple[float, float, float]
-    albedo: float = 0.8
-
-    def hit(self, origin: Floats, direction: Floats) -> tuple[Floats, Ints]:
-        """See :class:`Shape`; rays start inside."""
-        _, exit_at, _, axis = _slabs(origin, direction, np.array(self.low_mm), np.array(self.high_mm))
-        side = (direction[np.arange(len(axis)), axis] > 0).astype(np.int64)
-        return exit_at, axis * 2 + side
-
-    def normal(self, points: Floats, face: Ints) -> Floats:
-        """See :class:`Shape`; towards the inside."""
-        return _axis_normal(np.where(face % 2 == 1, -1.0, 1.0), face // 2)
-
-
-@dataclass(frozen=True)
-class Box:
-    """An axis-aligned box seen from outside. Faces 0-5: axis * 2 + side."""
-
-    low_mm: tuple[float, float, float]
-    high_mm: tuple[float, float, float]
-    albedo: float = 0.7
-
-    def hit(self, origin: Floats, direction: Floats) -> tuple[Floats, Ints]:
-        """See :class:`Shape`."""
-        enter, leave, axis, _ = _slabs(origin, direction, np.array(self.low_mm), np.array(self.high_mm))
-        side = (direction[np.arange(len(axis)), axis] < 0).astype(np.int64)
-        return np.where((enter > 0) & (enter <= leave), enter, np.inf), axis * 2 + side
-
-    def normal(self, points: Floats, face: Ints) -> Floats:
-        """See :class:`Shape`."""
-        return _axis_normal(np.where(face % 2 == 1, 1.0, -1.0), face // 2)
-
-
-def _smaller_root(a: Floats, b: Floats, c: Floats) -> Floats:
-    """The smaller root of a t^2 + 2 b t + c, inf where there is none ahead."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        t = (-b - np.sqrt(b * b - a * c)) / a
-    return np.where(np.isfinite(t) & (t > 0), t, np.inf)
-
-
-@dataclass(frozen=True)
-class Sphere:
-    """A ball seen from outside."""
-
-    centre_mm: tuple[float, float, float]
-    radius_mm: float
-    albedo: float = 0.9
-
-    def hit(self, origin: Floats, direction: Floats) -> tuple[Floats, Ints]:
-        """See :class:`Shape`."""
-        to = origin - np.array(self.centre_mm)
-        b = (to * direction).sum(axis=1)
-        t = _smaller_root(np.ones(len(b)), b, (to * to).sum(axis=1) - self.radius_mm**2)
-        return t, np.zeros(len(t), np.int64)
-
-    def normal(self, points: Floats, face: Ints) -> Floats:
-        """See :class:`Shape`."""
-        return (points - np.array(self.centre_mm)) / self.radius_mm
-
-
-@dataclass(frozen=True)
-class Pillar:
-    """A vertical cylinder that reaches through floor and ceiling, seen from outside."""
-
-    x_mm: float
-    y_mm: float
-    radius_mm: float
-    albedo: float = 0.6
-
-    def hit(self, origin: Floats, direction: Floats) -> tuple[Floats, Ints]:
-        """See :class:`Shape`."""
-        to = origin[:, :2] - np.array([self.x_mm, self.y_mm])
-        flat = direction[:, :2]
-        b = (to * flat).sum(axis=1)
-        t = _smaller_root((flat * flat).sum(axis=1), b, (to * to).sum(axis=1) - self.radius_mm**2)
-        return t, np.zeros(len(t), np.int64)
-
-    def normal(self, points: Floats, face: Ints) -> Floats:
-        """See :class:`Shape`."""
-        out = (points - np.array([self.x_mm, self.y_mm, 0.0])) / self.radius_mm
-        out[:, 2] = 0.0
-        return out
-
-
-@dataclass(frozen=True)
 class Hits:
-    """Where rays end: distance, point, surface (shape * 8 + face), brightness factor."""
+    """Where rays end: distance (N,) (inf: nowhere), points (N, 3), shape (N,) (-1: none), face, normal.
+
+    ``shape`` counts the document's shapes; ``normal`` looks against the ray.
+    """
 
     distance_mm: Floats
     points_mm: Floats
-    surface: Ints
+    shape: Ints
+    face: Ints
+    normal: Floats
 
 
-@dataclass(frozen=True)
 class Scene:
-    """Shapes in scene space."""
+    """Shapes in scene space that rays can be cast at.
 
-    shapes: Sequence[Shape]
+    Parameters
+    ----------
+    shapes
+        Shapes of a scene document.
+    folder
+        What mesh files are relative to; InputError if one cannot be read.
+    """
+
+    def __init__(self, shapes: Sequence[document.Shape], *, folder: Path | None = None) -> None:
+        self.shapes = tuple(shapes)
+        self.albedo: Floats = np.array([shape.albedo for shape in self.shapes], np.float64)
+        kinds, numbers, names = [], [], []
+        corners: list[Floats] = [np.empty((0, 3, 3))]
+        owners: list[Ints] = [np.empty(0, np.int64)]
+        for i, shape in enumerate(self.shapes):
+            if isinstance(shape, document.Mesh):
+                found = _mesh_triangles(shape, folder)
+                corners.append(found)
+                owners.append(np.full(len(found), i, np.int64))
+                continue
+            kind, half = _simple(shape)
+            kinds.append(kind)
+            names.append(i)
+            numbers.append([*turned(shape.turn_deg).T.ravel(), *shape.at_mm, *half])
+        self.packed = _with_tree(
+            np.array(kinds, np.int64),
+            np.array(numbers, np.float64).reshape(-1, NUMBERS),
+            np.concatenate(corners),
+            np.concatenate(owners),
+            np.array(names, np.int64),
+        )
 
     def cast(self, origin_mm: Floats, direction: Floats) -> Hits:
         """The first surface that each unit ray (N, 3) from ``origin_mm`` (3,) or (N, 3) meets."""
-        start = np.broadcast_to(origin_mm, direction.shape)
-        best = np.full(len(direction), np.inf)
-        surface = np.full(len(direction), -1, np.int64)
-        for i, shape in enumerate(self.shapes):
-            t, face = shape.hit(start, direction)
-            nearer = t < best
-            best = np.where(nearer, t, best)
-            surface = np.where(nearer, i * 8 + face, surface)
+        start = np.ascontiguousarray(np.broadcast_to(origin_mm, direction.shape), np.float64)
+        ray = np.ascontiguousarray(direction, np.float64)
+        distance, shape, face, normal = cast_all(self.packed, start, ray)
         with np.errstate(invalid="ignore"):
-            points = start + best[:, None] * direction
-        return Hits(best, points, surface)
+            points = start + distance[:, None] * ray
+        return Hits(distance, points, shape, face, normal)
 
-    def reflectance(self, points_mm: Floats, surface: Ints, towards: Floats) -> Floats:
-        """Albedo times the cosine between the normals and the unit directions ``towards`` (N, 3)."""
-        out = np.zeros(len(points_mm))
-        for i, shape in enumerate(self.shapes):
-            mine = surface // 8 == i
-            if mine.any():
-                normal = shape.normal(points_mm[mine], surface[mine] % 8)
-                out[mine] = shape.albedo * np.abs((normal * towards[mine]).sum(axis=1))
-        return out
+
+def _simple(shape: document.Shape) -> tuple[int, tuple[float, float, float]]:
+    """The kind and the half sizes of a shape that is no mesh."""
+    if isinstance(shape, document.Plane):
+        x, y = shape.size_mm or (math.inf, math.inf)
+        return PLANE, (x / 2, y / 2, 0.0)
+    if isinstance(shape, document.Box | document.Room):
+        x, y, z = shape.size_mm
+        return BOX if isinstance(shape, document.Box) else ROOM, (x / 2, y / 2, z / 2)
+    if isinstance(shape, document.Sphere):
+        return SPHERE, (shape.radius_mm,) * 3
+    assert isinstance(shape, document.Cylinder)
+    return CYLINDER, (shape.radius_mm, shape.radius_mm, (shape.height_mm or math.inf) / 2)
+
+
+def _mesh_triangles(shape: document.Mesh, folder: Path | None) -> Floats:
+    """Corners (T, 3, 3) in scene space; triangles without area are left out."""
+    if shape.file is None:
+        corners = np.array(shape.vertices_mm, np.float64)[np.array(shape.triangles, np.int64)]
+    else:
+        corners = read_mesh((folder or Path()) / shape.file) * shape.mm_per_unit
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    corners = corners[(area != 0).any(axis=1)]
+    if not len(corners):
+        raise InputError(
+            f"mesh {shape.file or 'in the scene'}: no triangle of it has an area",
+            hint="give a mesh of triangles that are not degenerate",
+        )
+    return corners @ turned(shape.turn_deg).T + np.array(shape.at_mm)
+
+
+def _with_tree(kind: Ints, number: Floats, corners: Floats, owner: Ints, name: Ints) -> Packed:
+    """Sort triangles along a space-filling curve, and halve them into a tree of boxes."""
+    order = np.argsort(_along_curve(corners.mean(axis=1)), kind="stable") if len(corners) else owner
+    corners = corners[order]
+    links = _halved(len(corners))
+    boxes = np.empty((len(links), 6))
+    leaves = np.array([n for n, link in enumerate(links) if link[1]], np.int64)
+    if len(leaves):
+        begins = [links[n][0] for n in leaves]
+        boxes[leaves, :3] = np.minimum.reduceat(corners.min(axis=1), begins, axis=0)
+        boxes[leaves, 3:] = np.maximum.reduceat(corners.max(axis=1), begins, axis=0)
+    for node in range(len(links) - 1, -1, -1):
+        if links[node][1] == 0:
+            # Its first half follows it; the second half is what that one goes on with.
+            one, two = boxes[node + 1], boxes[links[node + 1][2]]
+            boxes[node, :3] = np.minimum(one[:3], two[:3])
+            boxes[node, 3:] = np.maximum(one[3:], two[3:])
+    edges = np.stack(
+        [corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=1
+    )
+    link = np.array(links, np.int64).reshape(-1, 3)
+    return Packed(kind, number, np.ascontiguousarray(edges), owner[order], boxes, link, name)
+
+
+def _halved(count: int) -> list[list[int]]:
+    """The nodes of a tree over ``count`` things in order; see :class:`~.rays.Packed`."""
+    links: list[list[int]] = []
+    # Parts still to be split, the next one in depth-first order last; nodes whose part has not ended.
+    todo = [(0, count)] if count else []
+    open_until: list[tuple[int, int]] = []
+    while todo:
+        begin, end = todo.pop()
+        node = len(links)
+        while open_until and open_until[-1][1] <= begin:
+            links[open_until.pop()[0]][2] = node
+        open_until.append((node, end))
+        leaf = end - begin <= _LEAF
+        links.append([begin, end - begin if leaf else 0, 0])
+        if not leaf:
+            half = (begin + end) // 2
+            todo += [(half, end), (begin, half)]
+    for node, _ in open_until:
+        links[node][2] = len(links)
+    return links
+
+
+def _along_curve(points: Floats) -> npt.NDArray[np.uint64]:
+    """The places of points (N, 3) along Morton's curve (IBM report, 1966), with 21 bits an axis."""
+    low = points.min(axis=0)
+    extent = np.maximum(points.max(axis=0) - low, 1e-12)
+    cell = ((points - low) / extent * (2**21 - 1)).astype(np.uint64)
+    out = np.zeros(len(points), np.uint64)
+    for bit in range(21):
+        for axis in range(3):
+            at = np.uint64(3 * bit + axis)
+            out |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << at
+    return out

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from .rays import Floats
 from .rig import SimulatedRig
-from .scene import Floats, Scene
+from .scene import Scene
 
 
 def range_errors_mm(

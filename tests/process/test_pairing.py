@@ -96,3 +96,43 @@ def test_at_most_one_pose_is_held_back() -> None:
         seen.append(lit)
         assert len(taken) - len(seen) <= 1
     assert len(seen) == 49
+
+
+def turning(t_ns: int, reported: float) -> TurntableAngle:
+    return TurntableAngle(t_ns=t_ns, commanded_rad=9.0, reported_rad=reported, moving=True)
+
+
+def test_while_the_table_turns_angles_lie_between_two_reports() -> None:
+    items = [
+        turning(0, 0.0),
+        Shot(0, 25),
+        Shot(1, 50),
+        turning(100, 0.4),
+        Shot(2, 150),
+        angle(200, 9.0, 0.5),
+    ]
+    found = pairs(items, background=False)
+    assert [f for f, _, _ in found] == [0, 1, 2]
+    assert [a for _, a, _ in found] == pytest.approx([0.1, 0.2, 0.45])
+
+
+def test_after_the_last_report_of_a_turning_table_frames_have_no_angle() -> None:
+    items = [turning(0, 0.0), Shot(0, 5), turning(10, 0.1), Shot(1, 15), Shot(2, 16)]
+    left_out: list[int] = []
+    found = list(pair_frames(items, with_background=False, left_out=left_out))
+    assert [p.frame for p in found] == [0]
+    assert left_out == [1, 2]
+
+
+def test_at_rest_the_last_report_holds_even_after_turning() -> None:
+    items = [turning(0, 0.0), Shot(0, 5), angle(10, 9.0, 0.1), Shot(1, 15), angle(20, 9.0, 0.1)]
+    assert [a for _, a, _ in pairs(items, background=False)] == pytest.approx([0.05, 0.1])
+
+
+def test_the_off_frame_before_a_turn_serves_all_of_it() -> None:
+    items = [angle(0, 0.0), Shot(0, 1, ()), turning(2, 0.0)]
+    for n in range(1, 5):
+        items += [Shot(n, 10 * n), turning(10 * n + 5, 0.1 * n)]
+    found = pairs(items)
+    assert [(f, off) for f, _, off in found] == [(n, 0) for n in range(1, 5)]
+    assert [a for _, a, _ in found] == sorted(a for _, a, _ in found)

@@ -1,0 +1,1 @@
+"""Controllers that are not there: firmware emulators on pseudo-terminals, with selectable faults."""
