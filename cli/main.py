@@ -31,8 +31,8 @@ from .fixity import repair, verify
 from .importing import import_app
 from .output import Session, current_session, set_session
 from .recipes import recipe_app
-from .reporting import report_app
 from .recording import record
+from .reporting import report_app
 from .rig import rig_app
 from .scans import scan_app
 from .starting import init

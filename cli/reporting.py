@@ -24,23 +24,19 @@ from .places import ScanArgument, chosen_recipe, open_archive
 from .recipes import RecipeOption
 
 if TYPE_CHECKING:
-    import numpy as np
     import numpy.typing as npt
 
     from ..process.denoise_table import FilterTable, Reference
     from ..process.pairing import LitFrame
+    from ..schemas.events import StripeTruth
     from ..schemas.manifests import ScanSummary
-    from ..schemas.recipe import Recipe
+    from ..schemas.recipe import Grey, Recipe
     from ..store import Archive
 
     Image = npt.NDArray[Any]
-    Truth = Callable[[float], Image]
 
 #: Frames of one pose that are averaged, at most: they are held in memory together.
 _MOST_OF_A_POSE = 32
-#: Mean of |frame - truth| over the noise that the simulation says, 4 at most so that impulses do not count:
-#: sqrt(2 / pi) = 0.80 for a normal distribution.
-_LIKE_THE_ROOM = (0.7, 0.9)
 
 report_app = typer.Typer(
     no_args_is_help=True,
@@ -132,7 +128,6 @@ def measure(
         No frame has a laser lit, or the log lacks angles.
     """
     from ..process.denoise_table import FilterTable
-    from ..process.grey import to_grey
     from ..schemas.recipe import Grey
 
     poses = _poses(archive, summary)
@@ -147,52 +142,67 @@ def measure(
     count = min(frames, len(usable))
     picked = [usable[i * len(usable) // count] for i in range(count)]
     grey = next((s for s in recipe.stages if isinstance(s, Grey)), Grey())
-    truth = _room_truth(summary)
     table = FilterTable()
-    wanted = {n: i for i, p in enumerate(picked) for n in p.frames[:_MOST_OF_A_POSE]}
-    held: list[list[Image]] = [[] for _ in picked]
-    unlike = 0
+    truths: dict[int, list[StripeTruth]] = {}
+    wanted = {n: p for p in picked for n in p.frames[:_MOST_OF_A_POSE]}
+    held: list[LitFrame] = []
+    colour = False
     with current_session().progress("filtering") as advance:
-        for lit in _lit(archive, summary, wanted.__contains__):
-            at = wanted[lit.frame]
-            pose = picked[at]
-            held[at].append(to_grey(lit.image, grey))
-            if len(held[at]) < min(len(pose.frames), _MOST_OF_A_POSE):
-                continue
-            first, *others = held[at]
-            held[at] = []
-            references: dict[Reference, Image] = {}
-            if others:
-                references["temporal_mean"] = sum(o.astype(float) for o in others) / len(others)
-            if truth is not None:
-                clean = truth(pose.angle_rad)
-                if _is_of(first, clean):
-                    references["truth"] = clean
-                else:
-                    unlike += 1
-            table.add(first, references)
-            advance(table.frames, count)
-    if table.has("truth") and unlike:
-        raise InputError(
-            f"scan {summary.scan}: {unlike} of {table.frames} frames are not the simulated room's",
-            hint="the scan mixes rendered frames with others, so that it has no one truth",
-        )
-    return table, _meaning(table, repeated, unlike)
+        for lit in _lit(archive, summary, wanted.__contains__, truths):
+            # What the log says of a frame stands beside it: it is complete when the next frame is seen.
+            if held and wanted[held[0].frame] is not wanted[lit.frame]:
+                colour = _add(table, held, grey, truths)
+                advance(table.frames, count)
+            held.append(lit)
+        colour = _add(table, held, grey, truths)
+    return table, _meaning(table, repeated, colour=colour)
 
 
-def _meaning(table: FilterTable, repeated: list[_Pose], unlike: int) -> dict[str, str]:
+def _add(
+    table: FilterTable, held: list[LitFrame], grey: Grey, truths: dict[int, list[StripeTruth]]
+) -> bool:
+    """Add the first of the ``held`` frames of one pose, and let go of them.
+
+    Returns whether its truth is left out, being that of a colour frame: how much of the laser's light
+    is in each channel is not in the log.
+    """
+    import numpy as np
+
+    from ..process.denoise_truth import clean_frame
+    from ..process.grey import to_grey
+    from ..schemas.truth import unpacked_truth
+
+    first, *others = (to_grey(lit.image, grey) for lit in held)
+    references: dict[Reference, Image] = {}
+    if others:
+        references["temporal_mean"] = np.mean(others, axis=0)
+    known = truths.get(held[0].frame, [])
+    colour = held[0].image.ndim == 3
+    if known and not colour:
+        references["truth"] = clean_frame(first, [(t.stripe, unpacked_truth(t)) for t in known])
+    table.add(first, references)
+    for lit in held:
+        truths.pop(lit.frame, None)
+    held.clear()
+    return bool(known) and colour
+
+
+def _meaning(table: FilterTable, repeated: list[_Pose], *, colour: bool) -> dict[str, str]:
     fewest = min((min(len(p.frames), _MOST_OF_A_POSE) for p in repeated), default=0) - 1
-    no_truth = "the scan carries no truth"
-    if unlike:
-        no_truth = "the calibration is that of the simulated room, but the frames are not"
     return {
         "unfiltered": "the unfiltered frame, as in the paper: tells how much a filter changes, not how "
-        "good it is; doing nothing scores infinity",
-        "truth": "the simulated frame without noise, rounded to whole DN"
+        "good it is; doing nothing scores infinity (null in JSON)",
+        "truth": "the simulated stripes without noise, as the log's /truth says, on the frame's own "
+        "ambient light (a fitted plane)"
         if table.has("truth")
-        else f"none: {no_truth}",
-        "temporal_mean": f"the mean of the other frames at the same pose, {fewest} or more; its own noise "
-        f"adds up to 1/{fewest} of a frame's noise power to each MSE"
+        else "none: "
+        + (
+            "its truth is that of grey frames, these are colour"
+            if colour
+            else "the scan carries no truth"
+        ),
+        "temporal_mean": f"the mean of the other frames at the same pose, {fewest} or more; its own "
+        f"noise adds up to 1/{fewest} of a frame's noise power to each MSE"
         if table.has("temporal_mean")
         else "none: no pose has two frames",
     }
@@ -215,7 +225,7 @@ class _Unread:
 def _poses(archive: Archive, summary: ScanSummary) -> list[_Pose]:
     """Every run of lit frames at one pose, in time order; no image is decoded."""
     out: list[_Pose] = []
-    for lit in _lit(archive, summary, None):
+    for lit in _lit(archive, summary, None, {}):
         last = out[-1] if out else None
         if last and last.angle_rad == lit.angle_rad and last.lasers_on == lit.lasers_on:
             last.frames.append(lit.frame)
@@ -225,17 +235,26 @@ def _poses(archive: Archive, summary: ScanSummary) -> list[_Pose]:
 
 
 def _lit(
-    archive: Archive, summary: ScanSummary, wanted: Callable[[int], bool] | None
+    archive: Archive,
+    summary: ScanSummary,
+    wanted: Callable[[int], bool] | None,
+    truths: dict[int, list[StripeTruth]],
 ) -> Iterator[LitFrame]:
-    """The lit frames that are wanted, of the first camera, with their angles; undecoded with None."""
+    """The lit frames that are wanted, of the first camera, with their angles; undecoded with None.
+
+    What the log says of the truth of these frames is put into ``truths`` as it comes by.
+    """
     from ..process.pairing import pair_frames
-    from ..schemas.events import TurntableAngle
+    from ..schemas.events import StripeTruth, TurntableAngle
     from ..store.log_reader import LogFrame
 
     def items() -> Iterator[Any]:
         for item in archive.log(summary.scan).items():
             if isinstance(item, TurntableAngle):
                 yield item
+            elif isinstance(item, StripeTruth):
+                if wanted is not None and wanted(item.frame) and item.camera == summary.cameras[0]:
+                    truths.setdefault(item.frame, []).append(item)
             elif isinstance(item, LogFrame) and item.camera == summary.cameras[0]:
                 if wanted is None:
                     yield _Unread(item.frame, item.t_ns, item.lasers_on)
@@ -243,30 +262,3 @@ def _lit(
                     yield item
 
     return pair_frames(items(), with_background=False)
-
-
-def _room_truth(summary: ScanSummary) -> Truth | None:
-    """What renders the noise-free frame at an angle, if the scan was made in the simulated room."""
-    from ..ingest.room.demo import demo_calibration, demo_scene
-    from ..ingest.room.render import Light, render
-    from ..ingest.room.rig import SimulatedRig
-
-    calibration = demo_calibration()
-    if summary.calibration != calibration.calibration_id():
-        return None
-    rig, scene, light = SimulatedRig(calibration), demo_scene(), Light(noise_dn=0.0, shot_dn_per_dn=0.0)
-    return lambda angle_rad: render(scene, rig, angle_rad, seed=0, light=light).image
-
-
-def _is_of(frame: Image, clean: npt.NDArray[np.uint8]) -> bool:
-    """Whether a frame differs from the rendered one by the simulation's own noise: nothing is taken on trust."""
-    import numpy as np
-
-    from ..ingest.room.render import Light
-
-    if frame.shape != clean.shape or frame.dtype != clean.dtype:
-        return False
-    light = Light()
-    sigma = np.sqrt(light.noise_dn**2 + light.shot_dn_per_dn * clean + 1.0 / 6.0)
-    low, high = _LIKE_THE_ROOM
-    return low < float(np.minimum(np.abs(frame - clean.astype(float)) / sigma, 4.0).mean()) < high

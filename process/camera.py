@@ -85,7 +85,7 @@ def _undistort(u: Floats, v: Floats, camera: tuple[float, ...], x: Floats, y: Fl
     fx, fy, cx, cy, skew, k1, k2, p1, p2, k3 = camera
     n = len(u)
     bad = 0
-    # Three steps for all, without a branch, so that the loop is vectorised; what needs more comes after.
+    # Three steps for all, without a branch, so that it is vectorised; what needs more comes after.
     for i in range(n):
         yd = (v[i] - cy) / fy
         xd = (u[i] - cx) / fx - skew * yd
@@ -131,7 +131,7 @@ def _newton(
     p2: float,
     k3: float,
 ) -> tuple[float, float, float, float]:
-    """Newton's step towards the ideal point of (xd, yd), the Jacobian's determinant and first element."""
+    """Newton's step towards the ideal point of (xd, yd), the Jacobian's determinant and first entry."""
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))

@@ -14,10 +14,13 @@ import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numba
-from numba.core import config, event
+from numba.core import config as numba_config
+from numba.core import event
+
+config: Any = numba_config
 
 LOG = logging.getLogger("turnscan")
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -28,13 +31,13 @@ _FASTMATH = {"reassoc", "contract", "nsz"}
 
 
 def inlined(function: Function) -> Function:
-    """A kernel that is written into each of its callers: for small ones that are called in every row."""
-    return numba.njit(nogil=True, error_model="numpy", fastmath=_FASTMATH, inline="always")(function)
+    """A kernel that is written into each of its callers: for small ones that every row calls."""
+    return _compiled(function, inline="always")
 
 
 def kernel(function: Function) -> Function:
     """``function`` compiled on its first call for given argument types; releases the GIL."""
-    compiled = numba.njit(nogil=True, error_model="numpy", fastmath=_FASTMATH)(function)
+    compiled = _compiled(function, inline="never")
     folder = _cache_folder()
     if folder is not None:
         before = config.CACHE_DIR
@@ -45,6 +48,10 @@ def kernel(function: Function) -> Function:
             config.CACHE_DIR = before
     _announce()
     return compiled
+
+
+def _compiled(function: Function, *, inline: Literal["never", "always"]) -> Any:
+    return numba.njit(nogil=True, error_model="numpy", fastmath=_FASTMATH, inline=inline)(function)
 
 
 @cache
@@ -72,7 +79,7 @@ def _cache_folder() -> Path | None:
     return None
 
 
-class _Listener(event.Listener):  # type: ignore[misc]
+class _Listener(event.Listener):
     """Says once that compilation has begun, since it takes seconds and looks like a hang."""
 
     said = False
@@ -88,4 +95,5 @@ class _Listener(event.Listener):  # type: ignore[misc]
 
 @cache
 def _announce() -> None:
-    event.register("numba:compile", _Listener())
+    register: Any = event.register
+    register("numba:compile", _Listener())

@@ -15,7 +15,10 @@ from ..schemas.recipe import Denoise, Extract
 _GAUSSIAN = np.array([0.25, 0.5, 0.25])
 #: What the methods of extraction read beyond twice the widest stripe: the background's samples, and the
 #: few pixels by which the summit may lie off the place that the search gave.
-_BESIDE = 16
+_BESIDE = 8
+#: Rows above and below that are read in the same columns (Steger's method smooths over them), also
+#: where the stripe ends or jumps; the stretches grow by as many columns.
+_ROWS = 12
 
 
 def denoise(frame: npt.NDArray[Any], step: Denoise) -> npt.NDArray[Any]:
@@ -44,9 +47,10 @@ def denoise_at_stripe(
 
     The stripe is searched in the unfiltered frame, less the laser-off frame, in each of ``spans``
     (from_px, to_px). About it the pixels are those that :func:`denoise` gives, as far as
-    any method reads them; a row with a second bright stripe is filtered whole, so that the choice between
-    them compares like with like. Elsewhere the frames are as they were. ``noise`` is that of
-    single pixels of the unfiltered frame, in DN.
+    any method reads them; a row with a second bright stripe is filtered whole, so that the choice
+    between them compares like with like. Elsewhere the frames are as they were: only where a second
+    stripe is just half as bright as the first may the flag that tells of it differ. ``noise`` is that
+    of single pixels of the unfiltered frame, in DN.
     """
     from .denoise_window import filter_windows, joined
     from .extract.search import find_peaks
@@ -72,14 +76,14 @@ def denoise_at_stripe(
         stop = width if to_px is None else min(to_px, width)
         if from_px >= stop:
             continue
-        peak, second = find_peaks(signal, from_px, stop, max(extract.base_dn, least))
+        # Half of what counts as a stripe: rows that show one only once they are filtered count, too.
+        peak, second = find_peaks(signal, from_px, stop, 0.5 * max(extract.base_dn, least))
         found = peak >= 0
         low = np.where(second, from_px, peak - reach)
         high = np.where(second, stop, peak + reach + 1)
         first = np.where(found, np.minimum(first, low), first)
         last = np.where(found, np.maximum(last, high), last)
-    # The methods look at the rows above and below as well, beside the same place.
-    first, last = joined(first, last, 1, width)
+    first, last = joined(first, last, _ROWS, width)
     done = [filter_windows(f, steps, first, last, transposed=across) for f in frames]
     if across:
         done = [cv2.transpose(f) for f in done]

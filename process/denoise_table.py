@@ -1,4 +1,4 @@
-"""The paper's Table 1 on any frames: what each filter does to them, measured against three references."""
+"""The paper's Table 1 on any frames: what each filter does, against three references."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ REFERENCES: Final[tuple[Reference, ...]] = ("unfiltered", "truth", "temporal_mea
 class FilterTable:
     """Gathers frames one by one; nothing of them is kept but sums.
 
-    ``unfiltered`` is the paper's reference: it measures how much a filter changes an image, not how good
-    the result is, and doing nothing scores infinity. ``truth`` and ``temporal_mean`` are judged by what
-    the noise-free image is, or is best known to be.
+    ``unfiltered`` is the paper's reference: it measures how much a filter changes an image, not how
+    good the result is, and doing nothing scores infinity. ``truth`` is the noise-free image,
+    ``temporal_mean`` what it is best known to be.
     """
 
     def __init__(self, median_size_px: Literal[3, 5] = 3) -> None:

@@ -1,4 +1,4 @@
-"""The filters of denoise.py in a stretch of each row alone: the same numbers at a fraction of the time."""
+"""The filters of denoise.py in a stretch of each row alone: the same numbers in less time."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def filter_windows(
 ) -> npt.NDArray[Any]:
     """``frame`` (H, W), uint8 or uint16, with columns [first, last) (H,) of each row filtered.
 
-    ``steps`` are ("gaussian" or "median", half size in px) in their order. What a later step needs of an
-    earlier one beyond the stretch is made as well, so that every stretch holds the very numbers that
-    filtering the whole frame would give, borders included. All else is as it was. ``in_place`` writes
-    into ``frame`` itself instead of a copy, which for large frames takes longer than the filter;
+    ``steps`` are ("gaussian" or "median", half size in px) in their order. What a later step needs of
+    an earlier one beyond the stretch is made as well, so that every stretch holds the very numbers
+    that filtering the whole frame would give, borders included. All else is as it was. ``in_place``
+    writes into ``frame`` itself instead of a copy, which for large frames takes longer than the filter;
     ``transposed`` says that ``frame`` is a frame with its rows for columns, and so is the result.
     """
     height, width = frame.shape
@@ -43,7 +43,7 @@ def filter_windows(
     begin, end = stretches[0]
     now = frame
     for (name, half), (low, high) in zip(steps, stretches[::-1], strict=True):
-        # Only the stretches of this buffer are ever written or read: the rest of its memory is not touched.
+        # Only the stretches of this buffer are written and read: the rest of it costs nothing.
         out = np.empty((height, width), frame.dtype)
         if name == "gaussian":
             ups = _rounds_up(height if transposed else width, frame.dtype.char)
@@ -122,13 +122,19 @@ def _put(source: npt.NDArray[Any], first: Ints, last: Ints, target: npt.NDArray[
 
 
 @kernel
-def _at(column: int, width: int, reflects: bool) -> int:
-    """The column that stands for one beyond a border: the border's own, or its mirror image."""
-    if reflects and width > 1:
+def _repeated(column: int, width: int) -> int:
+    """The column that stands for one beyond a border: the border's own."""
+    return min(max(column, 0), width - 1)
+
+
+@kernel
+def _mirrored(column: int, width: int) -> int:
+    """The column that stands for one beyond a border by one: its mirror image."""
+    if width > 1:
         if column < 0:
-            return -column
+            return 1
         if column >= width:
-            return 2 * width - 2 - column
+            return width - 2
     return min(max(column, 0), width - 1)
 
 
@@ -156,7 +162,7 @@ def _median_3(frame: npt.NDArray[Any], first: Ints, last: Ints, out: npt.NDArray
             _median_3_row(frame, above, row, below, begin - 1, length, columns, out, row, begin)
             continue
         for j in range(length + 2):
-            k = _at(begin - 1 + j, width, False)
+            k = _repeated(begin - 1 + j, width)
             edge[0, j], edge[1, j], edge[2, j] = frame[above, k], frame[row, k], frame[below, k]
         _median_3_row(edge, 0, 1, 2, 0, length, columns, out, row, begin)
 
@@ -174,7 +180,7 @@ def _median_3_row(
     row: int,
     begin: int,
 ) -> None:
-    """The median is that of the greatest least, the middle middle and the least greatest of three columns."""
+    """The median of the greatest least, the middle middle and the least greatest of three columns."""
     # Whole arrays are handed over and views taken here: views as arguments cost more than the filter.
     up, here, down, target = frame[above], frame[middle], frame[below], out[row]
     low, mid, top = columns[0], columns[1], columns[2]
@@ -228,7 +234,7 @@ def _median(
                         lane[np.uintp(j)] = line[np.uintp(start) + np.uintp(j)]
                 else:
                     for j in range(length):
-                        lane[j] = line[_at(start + j, width, False)]
+                        lane[j] = line[_repeated(start + j, width)]
         # Whole vectors: what lies behind a stretch is sorted along and not looked at.
         used = (length + _LANE - 1) // _LANE
         for n in range(len(pairs)):
@@ -263,7 +269,7 @@ def _gaussian(
         begin, length = first[row], last[row] - first[row]
         if length <= 0:
             continue
-        above, below = _at(row - 1, height, True), _at(row + 1, height, True)
+        above, below = _mirrored(row - 1, height), _mirrored(row + 1, height)
         if begin > 0 and begin + length < width:
             _gaussian_row(
                 frame,
@@ -281,7 +287,7 @@ def _gaussian(
             )
             continue
         for j in range(length + 2):
-            k = _at(begin - 1 + j, width, True)
+            k = _mirrored(begin - 1 + j, width)
             edge[0, j], edge[1, j], edge[2, j] = frame[above, k], frame[row, k], frame[below, k]
         _gaussian_row(edge, 0, 1, 2, 0, length, columns, up_rows, up_columns, out, row, begin)
 

@@ -159,7 +159,7 @@ def _derive_stripes(
             step(now.frames)
 
     parts = stripe_parts(
-        archive.log(plan.scan.scan).items(),
+        archive.log(plan.scan.scan).items(ahead=True),
         plan.recipe,
         plan.calibration,
         _source_of(plan.scan),

@@ -1,8 +1,8 @@
 """How far filtered frames are from a reference: MSE, PSNR and SNR, as in the paper's Table 1.
 
-PSNR = 10 log10(peak^2 / MSE), peak being the full scale of the frames' type: 255 DN, or 65535 DN in 16 bit
-whatever the camera's own depth. The paper does not define its SNR; its printed values are reproduced by
-the mean square of the filtered image in place of peak^2.
+PSNR = 10 log10(peak^2 / MSE), peak being the full scale of the frames' type: 255 DN, or 65535 DN in
+16 bit whatever the camera's own depth. The paper does not define its SNR; here it has the mean square
+of the filtered image for peak^2, which is what the differences of its rows agree with.
 """
 
 from __future__ import annotations

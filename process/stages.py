@@ -12,7 +12,7 @@ from ..schemas.calibration import Calibration, Intrinsics
 from ..schemas.errors import CalibrationError, InputError
 from ..schemas.recipe import Denoise, Extract, Grey, Recipe, Triangulate, Undistort
 from .camera import ideal_camera, undistort_points
-from .denoise import denoise
+from .denoise import denoise, denoise_at_stripe
 from .extract import extract_stripe, noise_of
 from .grey import to_grey
 from .triangulate import scene_points
@@ -56,8 +56,12 @@ class FrameChain:
                 raise InputError("extract.background = off-frame, but no laser-off frame was given")
             off, _ = self._prepare(background)
         step = self._extract
+        windows = _windows(step, lasers_on)
+        if self._denoise.where == "stripe":
+            spans = [(from_px, to_px) for _, from_px, to_px in windows]
+            grey, off = denoise_at_stripe(grey, off, self._denoise, step, spans, noise)
         out = []
-        for laser, from_px, to_px in _windows(step, lasers_on):
+        for laser, from_px, to_px in windows:
             points = extract_stripe(
                 grey,
                 step.method,
@@ -69,6 +73,9 @@ class FrameChain:
                 from_px=from_px,
                 to_px=to_px,
                 noise=noise,
+                choice=step.choice or "brightest",
+                expected_px=step.expected_px,
+                pool_rows=step.pool_rows or 1,
             )
             out.append((laser, points))
         return out
@@ -86,7 +93,9 @@ class FrameChain:
                 "colour frames, and the recipe has no grey stage",
                 hint='add [[stages]] stage = "grey" to the recipe',
             )
-        return denoise(image, self._denoise), noise_of(image)
+        noise = noise_of(image)
+        # What is filtered only where the stripe is waits for extract(): both frames show where.
+        return image if self._denoise.where == "stripe" else denoise(image, self._denoise), noise
 
 
 def _windows(step: Extract, lasers_on: tuple[int, ...]) -> list[tuple[int, int, int | None]]:
@@ -166,4 +175,5 @@ class PointChain:
             "sigma_range_mm": sigma,
         }
         copied = ("frame", "laser", "row", "angle_rad", "u_px", "amplitude_dn", "width_px", "flags")
-        return {k: a[keep] for k, a in {**{n: stripes[n] for n in copied}, **made}.items()}
+        columns = {**{n: stripes[n] for n in copied}, **made}
+        return columns if keep.all() else {k: a[keep] for k, a in columns.items()}

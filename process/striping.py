@@ -11,13 +11,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ..schemas.calibration import Calibration
 from ..schemas.errors import CalibrationError, InputError
 from ..schemas.events import TurntableAngle
 from ..schemas.recipe import Recipe
+from .batches import BATCH_ROWS
 from .pairing import LitFrame, pair_frames
 from .stages import FrameChain
+
+Points = npt.NDArray[Any]
 
 
 @dataclass
@@ -82,8 +86,10 @@ def stripe_parts(
     tally: Tally,
     advance: Callable[[Tally], None],
 ) -> Iterator[dict[str, Any]]:
-    """STRIPES columns of frame after frame: the same from a sealed log and from one that grows."""
+    """STRIPES columns of many frames at a time: the same from a sealed log and from one that grows."""
     chain = FrameChain(recipe, calibration)
+    gathered = _Gathered()
+    vertical = recipe.extract().orientation == "vertical"
 
     def of_camera() -> Iterator[Any]:
         for item in items:
@@ -101,30 +107,54 @@ def stripe_parts(
             ) from error
         tally.frames += 1
         tally.empty += not any(len(points) for _, points in found)
-        vertical = recipe.extract().orientation == "vertical"
         tally.rows = len(found) * lit.image.shape[0 if vertical else 1]
         tally.rows_with_stripe = sum(len(points) for _, points in found)
         advance(tally)
-        yield _stripe_columns(lit.frame, lit.t_ns, lit.angle_rad, found)
+        gathered.add(lit, found)
+        if gathered.rows >= BATCH_ROWS:
+            yield gathered.columns()
+            gathered = _Gathered()
+    if gathered.rows:
+        yield gathered.columns()
 
 
-def _stripe_columns(
-    frame: int, t_ns: int, angle_rad: float, found: list[tuple[int, np.ndarray[Any, Any]]]
-) -> dict[str, Any]:
-    """One frame's stripe points of all lasers, in the order of rows."""
+class _Gathered:
+    """Stripe points of frames, held as they come, and made into columns when there are enough."""
+
+    def __init__(self) -> None:
+        self.rows = 0
+        self._points: list[Points] = []
+        # Of every piece: frame, time, laser, angle, number of points.
+        self._heads: list[tuple[int, int, int, float, int]] = []
+
+    def add(self, lit: LitFrame, found: list[tuple[int, Points]]) -> None:
+        """One frame's stripe points of all lasers, in the order of rows."""
+        # Within one turn, where float32 is good to 3e-7 rad.
+        angle_rad = math.fmod(lit.angle_rad, math.tau)
+        for laser, points in found if len(found) == 1 else _by_row(found):
+            self._points.append(points)
+            self._heads.append((lit.frame, lit.t_ns, laser, angle_rad, len(points)))
+            self.rows += len(points)
+
+    def columns(self) -> dict[str, Any]:
+        """The columns of STRIPES."""
+        frame, t_ns, laser, angle_rad, count = zip(*self._heads, strict=True)
+        points = np.concatenate(self._points)
+        return {
+            "frame": np.repeat(np.array(frame, np.uint32), count),
+            "t_ns": np.repeat(np.array(t_ns, np.int64), count),
+            "laser": np.repeat(np.array(laser, np.uint8), count),
+            "angle_rad": np.repeat(np.array(angle_rad, np.float32), count),
+            **{name: points[name] for name in points.dtype.names or ()},
+        }
+
+
+def _by_row(found: list[tuple[int, Points]]) -> Iterator[tuple[int, Points]]:
+    """The points of several lasers merged by row, in pieces of one point; in a row by laser."""
     points = np.concatenate([p for _, p in found])
     laser = np.concatenate([np.full(len(p), n, np.uint8) for n, p in found])
-    order = np.argsort(points["row"], kind="stable")
-    points, laser = points[order], laser[order]
-    n = len(points)
-    return {
-        "frame": np.full(n, frame, np.uint32),
-        "t_ns": np.full(n, t_ns, np.int64),
-        "laser": laser,
-        # Within one turn, where float32 is good to 3e-7 rad.
-        "angle_rad": np.full(n, math.fmod(angle_rad, math.tau), np.float32),
-        **{name: points[name] for name in points.dtype.names or ()},
-    }
+    for i in np.argsort(points["row"], kind="stable"):
+        yield int(laser[i]), points[i : i + 1]
 
 
 def _is_frame(item: Any, camera: str) -> bool:

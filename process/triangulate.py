@@ -61,17 +61,19 @@ def range_of(points_camera_mm: Floats) -> Floats:
 def scene_points(
     xn: Floats, yn: Floats, angle_rad: npt.NDArray[np.floating], plane: LaserPlane, axis: TurntableAxis
 ) -> tuple[Floats, Floats]:
-    """Scene points (3, N) and their range (N,) in mm from ideal rays (xn, yn, 1): all of the above at once.
+    """Scene points (3, N) and their range (N,), in mm, of ideal rays (xn, yn, 1): all of it at once.
 
     NaN for a ray along the laser plane, or one that meets it behind the camera.
     """
     rotation = turntable_from_camera(axis)
+    nx, ny, nz = plane.normal
+    plane_numbers = (float(nx), float(ny), float(nz), float(plane.distance_mm))
     xyz, distance = np.empty((3, len(xn)), np.float64), np.empty(len(xn), np.float64)
     _scene_points(
         xn,
         yn,
         np.asarray(angle_rad, np.float64),
-        (*(float(n) for n in plane.normal), float(plane.distance_mm)),
+        plane_numbers,
         rotation.rotation,
         rotation.translation_mm,
         float(axis.turn_sign()),

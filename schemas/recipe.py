@@ -48,7 +48,7 @@ class Denoise(Model):
     """Gaussian 3x3 and median filters, in the paper's four combinations, or none.
 
     ``where = "stripe"`` filters the surroundings of the stripe alone: the same numbers there as
-    ``"frame"`` gives, in less time. Left out it means ``"frame"``, and is then no part of the key.
+    ``"frame"`` gives. Left out it means ``"frame"``, and is then no part of the key.
     """
 
     stage: Literal["denoise"] = "denoise"
@@ -106,6 +106,30 @@ class Extract(Model):
         default=None, description="level from which a sample counts as clipped; None: full scale"
     )
     windows: tuple[Window, ...] = ()
+    choice: Literal["brightest", "first", "nearest", "continuous"] | None = Field(
+        default=None,
+        description="which stripe of a row with several: the brightest if left out; the first along "
+        "the row; the one nearest to expected_px; or the one that goes on along the stripe",
+    )
+    expected_px: float | None = Field(
+        default=None, description="where the stripe is expected; only with choice = nearest"
+    )
+    pool_rows: Literal[1, 3] | None = Field(
+        default=None,
+        description="3: centres are means of three neighbouring rows that lie on a line; else 1",
+    )
+
+    @field_validator("choice", "pool_rows")
+    @classmethod
+    def _only_if_used(cls, value: Any) -> Any:
+        # What is said but is the same as leaving it out must not make another recipe of it.
+        return None if value in {"brightest", 1} else value
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.choice == "nearest") != (self.expected_px is not None):
+            raise ValueError('expected_px goes with choice = "nearest", and that choice needs it')
+        return self
 
 
 class Triangulate(Model):

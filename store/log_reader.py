@@ -79,8 +79,10 @@ class ScanLog:
         self.path = path
         self._growth = growth
 
-    def messages(self) -> Iterator[tuple[str, str, LogMessage]]:
+    def messages(self, *, ahead: bool = False) -> Iterator[tuple[str, str, LogMessage]]:
         """(topic, schema name, message) of the whole log in time order.
+
+        ``ahead``: decompress in a second thread, for callers that have work of their own.
 
         Raises
         ------
@@ -88,16 +90,16 @@ class ScanLog:
             Any byte of the file is not what was written, at the latest after the last message.
         """
         last = -1
-        for schema, channel, message in read_messages(self.path, growth=self._growth):
+        for schema, channel, message in read_messages(self.path, growth=self._growth, ahead=ahead):
             if message.log_time < last:
                 raise damaged(self.path, 0, f"{channel.topic} steps back in time from {last}")
             last = message.log_time
             yield channel.topic, schema.name if schema else "", message
 
-    def items(self) -> Iterator[LogEvent | LogFrame]:
-        """Every event and every frame of the log, typed, in time order."""
+    def items(self, *, ahead: bool = False) -> Iterator[LogEvent | LogFrame]:
+        """Every event and every frame of the log, typed, in time order; ``ahead`` as in messages."""
         exposures: dict[str, Exposure] = {}
-        for topic, schema, message in self.messages():
+        for topic, schema, message in self.messages(ahead=ahead):
             item = self.item(topic, schema, message, exposures)
             if item is not None:
                 yield item

@@ -10,7 +10,9 @@ from __future__ import annotations
 import io
 import struct
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -238,12 +240,14 @@ class Growth(Protocol):
 
 class RecordWalk:
     """One pass over a file. Iterating yields (offset, record); ``library`` and ``profile`` are set
-    by the first record. With ``growth`` records are read as they are written.
+    by the first record. With ``growth`` records are read as they are written; with ``ahead`` each chunk
+    is decompressed in a thread of its own while the records of the one before are used.
     """
 
-    def __init__(self, path: Path, growth: Growth | None = None) -> None:
+    def __init__(self, path: Path, growth: Growth | None = None, *, ahead: bool = False) -> None:
         self.path = path
         self._growth = growth
+        self._pool = ThreadPoolExecutor(1, "decompress") if ahead else None
         self.profile = ""
         self.library = ""
 
@@ -252,11 +256,42 @@ class RecordWalk:
             with self.path.open("rb", buffering=_BUFFER_BYTES) as file:
                 size = file.seek(0, io.SEEK_END)
                 file.seek(0)
-                yield from self._walk(file, size)
+                yield from (
+                    self._walk(file, size)
+                    if self._pool is None
+                    else self._in_order(self._walk(file, size))
+                )
         except FileNotFoundError as error:
             raise StorageError(f"{self.path}: no such file") from error
         except OSError as error:
             raise StorageError(f"{self.path}: cannot be read ({error.strerror})") from error
+        finally:
+            if self._pool is not None:
+                self._pool.shutdown()
+
+    def _in_order(self, walk: Iterator[tuple[int, Any]]) -> Iterator[tuple[int, Any]]:
+        """The records of ``walk``, a chunk's in the place of its future: one chunk is always ahead."""
+        waiting: deque[tuple[int, Any]] = deque()
+
+        def until(left: int) -> Iterator[tuple[int, Any]]:
+            while len(waiting) > left:
+                offset, record = waiting.popleft()
+                if isinstance(record, Future):
+                    for inner in record.result():
+                        yield offset, inner
+                else:
+                    yield offset, record
+
+        try:
+            for step in walk:
+                waiting.append(step)
+                if isinstance(step[1], Future):
+                    yield from until(1)
+        except (DamageError, OSError):
+            # What stands before the fault comes first, as it does without the thread.
+            yield from until(0)
+            raise
+        yield from until(0)
 
     def _walk(self, file: Any, size: int) -> Iterator[tuple[int, Any]]:
         size = self._reach(len(MAGIC), size)
@@ -267,7 +302,7 @@ class RecordWalk:
         crc = isal_zlib.crc32(magic)
         offset = len(magic)
         strict = False
-        scratch = [bytearray()]
+        scratch, spare = [bytearray()], [bytearray()]
         while True:
             size = self._reach(offset + 9, size)
             head = file.read(9)
@@ -291,8 +326,9 @@ class RecordWalk:
                 return
             crc = isal_zlib.crc32(body, isal_zlib.crc32(head, crc))
             if opcode == Opcode.CHUNK:
-                for record in chunk_records(body, self.path, offset, strict=strict):
-                    yield offset, record
+                yield from self._chunk(body, offset, strict=strict)
+                # With a thread the next chunk is read while this one's bytes are still in use.
+                scratch, spare = spare, scratch
             elif opcode == Opcode.FOOTER:
                 raise damaged(self.path, offset, "the data section has no end record")
             else:
@@ -305,6 +341,14 @@ class RecordWalk:
                 if record is not None:
                     yield offset, record
             offset += 9 + length
+
+    def _chunk(self, body: memoryview, offset: int, *, strict: bool) -> Iterator[tuple[int, Any]]:
+        """The records of a chunk; with a thread, one future of them."""
+        if self._pool is not None:
+            yield offset, self._pool.submit(chunk_records, body, self.path, offset, strict=strict)
+            return
+        for record in chunk_records(body, self.path, offset, strict=strict):
+            yield offset, record
 
     def _reach(self, wanted: int | None, size: int) -> int:
         """The file's size, after waiting for ``wanted`` bytes of a file that grows."""
@@ -364,9 +408,15 @@ class RecordWalk:
 
 
 def read_messages(
-    path: Path, topics: set[str] | None = None, growth: Growth | None = None
+    path: Path,
+    topics: set[str] | None = None,
+    growth: Growth | None = None,
+    *,
+    ahead: bool = False,
 ) -> Iterator[tuple[Schema | None, Channel, LogMessage]]:
     """Messages of any MCAP file in file order, with their channel and schema.
+
+    ``growth`` and ``ahead`` as in :class:`RecordWalk`.
 
     Raises
     ------
@@ -376,7 +426,7 @@ def read_messages(
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     # The summary repeats schemas and channels; they are checked by the walk and change nothing.
-    for offset, record in RecordWalk(path, growth):
+    for offset, record in RecordWalk(path, growth, ahead=ahead):
         if isinstance(record, LogMessage):
             channel = channels.get(record.channel_id)
             if channel is None:

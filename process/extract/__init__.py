@@ -80,13 +80,13 @@ def extract_stripe(
     noise
         Standard deviation of a pixel's noise in DN; estimated from the frame by default.
     choice
-        Which stripe of a row with several: the ``brightest``, the ``first`` (least u), the ``nearest`` to
-        ``expected_px``, or the one that goes on ``continuous`` along the stripe.
+        Which stripe of a row with several: the ``brightest``, the ``first`` (least u), the ``nearest``
+        to ``expected_px``, or the one that goes on along the stripe (``continuous``).
     expected_px
         Where the stripe is expected, one value or one for each row; for ``choice = "nearest"``.
     pool_rows
-        1, or 3: the centre is the mean of three neighbouring rows where they lie on a line. Its deviation
-        is smaller by sqrt(3), and neighbouring points are then correlated.
+        1, or 3: the centre is the mean of three neighbouring rows where they lie on a line. Its
+        deviation is smaller by sqrt(3), and neighbouring points are then correlated.
 
     Returns
     -------
@@ -194,7 +194,7 @@ def _check_words(
     method: str,
     orientation: str,
     choice: str,
-    expected: bool,  # noqa: FBT001
+    expected: bool,
     pool_rows: int,
     base_dn: float,
     max_width_px: float,
@@ -206,9 +206,7 @@ def _check_words(
     if choice not in CHOICES:
         raise UsageError(f"choice is {choice!r}, expected one of: {', '.join(CHOICES)}")
     if (choice == "nearest") != expected:
-        raise UsageError(
-            'expected_px and choice = "nearest" go together', hint="give both or neither"
-        )
+        raise UsageError('expected_px and choice = "nearest" go together', hint="give both or neither")
     if pool_rows not in (1, 3):
         raise UsageError(f"pool_rows is {pool_rows}, expected 1 or 3")
     if not base_dn >= 0.0:

@@ -85,7 +85,7 @@ def _range_of(profile: npt.NDArray[Any], first: int) -> tuple[float, float]:
 
 @kernel
 def _cross_median(signal: npt.NDArray[Any], row: int, from_px: int, profile: npt.NDArray[Any]) -> None:
-    """Median of each pixel and its four neighbours; at the sides the pixel stands in for the missing one."""
+    """Median of each pixel and its four neighbours; at a border the pixel stands in for the missing."""
     last = signal.shape[0] - 1
     # At the first and last row the only vertical neighbour counts twice, or a stripe would have none.
     up, here = signal[row - 1 if row > 0 else min(1, last)], signal[row]

@@ -18,6 +18,7 @@ from ..compiled import kernel
 from .rows import (
     BASE,
     CENTRE,
+    CUT_FIRST,
     FIRST,
     HEIGHT,
     LAST,
@@ -31,6 +32,10 @@ from .rows import (
     fill,
     gather,
 )
+
+#: What clipping adds to the deviation, in px: root mean square over simulated stripes of 1 to 6 px that
+#: were clipped at a sixth to four fifths of their height.
+_CLIPPED = 0.03
 
 
 def centroid(
@@ -71,4 +76,5 @@ def _centroid(count: int, samples: Floats, marks: Ints, values: Floats, noise: f
             spread += (j - mark[SUMMIT] - offset) ** 2
         value[CENTRE] = mark[LEFT] + mark[SUMMIT] + offset
         phase = 0.01 + 0.02 / max(value[WIDTH], 0.5) ** 2
+        phase += _CLIPPED if mark[CUT_FIRST] >= 0 else 0.0
         value[SIGMA] = math.hypot(noise * math.sqrt(spread) / total, phase)

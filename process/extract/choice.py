@@ -20,10 +20,10 @@ Bools = npt.NDArray[np.bool_]
 
 #: A row is ambiguous when another candidate is at least this bright, relative to the chosen one.
 _SECOND = 0.5
-#: Continuity: a break costs as much as this many of the brightest rows are worth; a step of so many
-#: px, or more, costs the same, and a shorter one less. Paths go on over up to this many rows less
-#: one.
-_BREAK, _STEP_PX, _GAP = 8.0, 24.0, 12
+#: Continuity: a break costs as much as this many of the brightest rows are worth. A step of so many px,
+#: or more, costs the same, and a shorter one less, by its square. Paths go on over up to this many rows
+#: less one.
+_BREAK, _STEP_PX, _GAP = 8.0, 16.0, 12
 #: What a candidate is worth at no brightness; at the usual one it is worth 1. Continuity counts more.
 _FAINT = 0.5
 
@@ -117,8 +117,8 @@ def _continuous(count: Ints, place: Ints, tall: Floats) -> Ints:
             for before in range(max(0, row - _GAP), row):
                 for j in range(count[before]):
                     # Not less for being spread over a gap: leaving rows out must not pay.
-                    step = abs(place[row, i] - place[before, j]) / _STEP_PX
-                    reached = score[before, j] - _BREAK * min(step, 1.0)
+                    step = (place[row, i] - place[before, j]) / _STEP_PX
+                    reached = score[before, j] - _BREAK * min(step * step, 1.0)
                     if reached > value:
                         value, origin = reached, before * MOST + j
             bright = min(tall[row, i] / usual, 1.0)

@@ -128,9 +128,7 @@ def _fused(
 
 
 @inlined
-def _is_clipped(
-    raw: npt.NDArray[Any], peak: int, from_px: int, to_px: int, clip_dn: float
-) -> bool:
+def _is_clipped(raw: npt.NDArray[Any], peak: int, from_px: int, to_px: int, clip_dn: float) -> bool:
     """Whether a sample of the window about ``peak`` is clipped."""
     # The peak is the brightest place or beside it: where even that is far below, nothing is clipped.
     if float(raw[peak]) < 0.8 * clip_dn:

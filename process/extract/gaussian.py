@@ -7,6 +7,7 @@ ones: two times the bound and more.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from .rows import (
     BASE,
     BEGIN,
     CENTRE,
+    CUT_FIRST,
     END,
     LEFT,
     SIGMA,
@@ -28,6 +30,10 @@ from .rows import (
     gather,
 )
 from .varied_boundary import log_parabola
+
+#: What clipping adds to the deviation, in px: root mean square over simulated stripes of 1 to 6 px that
+#: were clipped at a sixth to four fifths of their height.
+_CLIPPED = 0.15
 
 
 def gaussian(
@@ -69,4 +75,6 @@ def _gaussian(
         )
         if good:
             value[CENTRE] = mark[LEFT] + mark[SUMMIT] + offset
+            if mark[CUT_FIRST] >= 0:
+                sigma = math.hypot(sigma, _CLIPPED)
             value[SIGMA], value[WIDTH] = sigma, width

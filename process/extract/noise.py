@@ -39,7 +39,9 @@ def noise_dn(frame: npt.NDArray[Any]) -> float:
         spread = float(_lower_mean(frame, rows, fine))
         if not integer and spread < 8.0 * fine:
             spread = float(_lower_mean(frame, rows, max(spread, 1e-6) / 32.0))
-    return float(max(math.sqrt((spread / _LOWER_MEAN) ** 2 / 6.0 + (ROUNDING if integer else 0.0)), least))
+    return float(
+        max(math.sqrt((spread / _LOWER_MEAN) ** 2 / 6.0 + (ROUNDING if integer else 0.0)), least)
+    )
 
 
 @kernel

@@ -51,10 +51,10 @@ def parabola(
 ) -> int:
     """Fill ``out`` with the vertex of every stripe; arguments as in ``fused.fused``.
 
-    Of a plateau (clipped, or three and more equal samples) the middle is taken: a parabola through its ends
-    and the samples beside it misses by half a pixel. A stripe whose brightest sample lies at the border has
-    no centre. The deviation is first-order noise of the three samples, the wandering of the brightest sample
-    on a wide stripe, and the parabola's own error.
+    Of a plateau (clipped, or three and more equal samples) the middle is taken: a parabola through
+    its ends and the samples beside it misses by half a pixel. A stripe whose brightest sample lies at
+    the border has no centre. The deviation is first-order noise of the three samples, the wandering
+    of the brightest sample on a wide stripe, and the parabola's own error.
     """
     rows = gather(signal, raw, peaks, limits, noise, clip_dn)
     _parabola(*rows, noise)

@@ -37,6 +37,8 @@ RUN_LEVEL: Final = 0.3
 FWHM: Final = 2.0 * math.sqrt(2.0 * math.log(2.0))
 #: Below this ratio of height to noise the centre is called weak.
 _WEAK_BELOW = 8.0
+#: So narrow a stripe has one bright sample, and nothing tells where in its pixel it lies: weak as well.
+_NARROW = 0.55
 #: How far from where it stands the summit is looked for, again and again until it stays.
 _NEAR = 2
 #: A window must reach this many standard deviations to either side, or its median is no background.
@@ -123,7 +125,7 @@ def _gather(
         flags = _SECOND if second[row] else 0
         if first == begin or last == end - 1:
             flags |= _EDGE
-        if height < _WEAK_BELOW * noise:
+        if height < _WEAK_BELOW * noise or width < _NARROW:
             flags |= _WEAK
         cut_first = cut_last = -1
         frame_line = raw[row]

@@ -19,6 +19,7 @@ from .rows import (
     BASE,
     BEGIN,
     CENTRE,
+    CUT_FIRST,
     END,
     HEIGHT,
     LEFT,
@@ -32,6 +33,9 @@ from .rows import (
 )
 
 _LEAST = 3
+#: What clipping adds to the deviation, in px: root mean square over simulated stripes of 1 to 6 px that
+#: were clipped at a sixth to four fifths of their height.
+_CLIPPED = 0.25
 
 
 def varied_boundary(
@@ -90,6 +94,7 @@ def _varied_boundary(
             value[CENTRE] = mark[LEFT] + mark[SUMMIT] + offset
             ratio = max(value[BASE], 0.0) / value[HEIGHT]
             phase = 0.055 * ratio / (ratio + 0.45) / math.sqrt(max(value[WIDTH], 0.5))
+            phase += _CLIPPED if mark[CUT_FIRST] >= 0 else 0.0
             value[SIGMA], value[WIDTH] = math.hypot(sigma, phase), width
 
 

@@ -32,7 +32,9 @@ def _one_thread() -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_accuracy_against_the_bound(method: str) -> None:
-    print(f"\n{method}: {FRAMES} frames of 640 x 480 each, seed {SEED}; errors as multiples of the bound")
+    print(
+        f"\n{method}: {FRAMES} frames of 640 x 480 each, seed {SEED}; errors as multiples of the bound"
+    )
     print(f"  {'case':<20s} {'rmse':>7s} {'phase':>7s} {'sigma':>7s} {'> 1 px':>8s} {'missing':>8s}")
     for name, case in CASES.items():
         errors, pulls, phases, gross, missing = [], [], [], 0, 0

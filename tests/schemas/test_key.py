@@ -9,6 +9,7 @@ from turnscan.schemas.errors import CalibrationError
 from turnscan.schemas.key import points_key, stage_key, stripes_key
 from turnscan.schemas.recipe import (
     BUILT_IN,
+    METHOD_VERSIONS,
     Denoise,
     Extract,
     Grey,
@@ -48,10 +49,14 @@ def keys(recipe: Recipe, c: Calibration, content: str = CONTENT) -> tuple[str, s
     return stripes, points
 
 
-def test_keys_are_pinned() -> None:
+def test_keys_are_pinned(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What made these keys is unchanged; a method's raised version, and that alone, makes others."""
+    newer = keys(DEFAULT, calibration())
+    monkeypatch.setitem(METHOD_VERSIONS, "varied-boundary", 1)
     stripes, points = keys(DEFAULT, calibration())
     assert stripes == "61a4d7d49d7248a8419ae210876319f3838ea268db00efa8d95274c39260431b"
     assert points == "7e514cf6a06758aea8728040789266f3a4de498dbfc87235ffff8e06d914810a"
+    assert not {stripes, points} & set(newer)
 
 
 def test_a_moved_laser_plane_moves_points_alone() -> None:
