@@ -148,6 +148,8 @@ class PointChain:
                 along_v=self._horizontal,
                 camera=self._camera,
                 plane=plane,
+                joint=self._calibration.joint,
+                share=self._step.sigma or "total",
             )
         distance = range_of(p)
         turned = turntable_from_camera(self._axis)(p)

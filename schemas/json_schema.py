@@ -24,6 +24,7 @@ from .events import (
     TurntableAngle,
 )
 from .manifests import ArchiveSettings, DerivationManifest, ScanSummary
+from .observations import Observations
 from .recipe import Recipe
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -38,6 +39,7 @@ _NAMED: dict[str, Any] = {
     "exposure": Exposure,
     "laser-state": LaserState,
     "log-line": LogLine,
+    "observations": Observations,
     "paper-calibration": PaperCalibration,
     "recipe": Recipe,
     "reference-event": ReferenceEvent,
