@@ -78,7 +78,7 @@ def calibrate_refine_command(
     ] = 5.0,
     max_contradiction: Annotated[
         float, typer.Option("--max-contradiction", help="Gate: how much the views disagree.")
-    ] = 3.0,
+    ] = 5.0,
     max_reference_sigmas: Annotated[
         float, typer.Option("--max-reference-sigmas", help="Gate: worst reference.")
     ] = 3.0,

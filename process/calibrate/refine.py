@@ -19,10 +19,10 @@ from ...schemas.calibration import Calibration, Intrinsics, Joint, Matrix
 from ...schemas.errors import CalibrationError, InputError
 from ...schemas.observations import Observations
 from .camera import free_directions
-from .refine_data import Data, data_of, joined
+from .refine_data import Data, check_references, data_of, joined
 from .refine_judge import Reference, contradictions, enlargement, judged_references
 from .refine_solve import Solution, solve
-from .refine_start import first_sigmas, first_state
+from .refine_start import first_sigmas, first_state, with_references
 from .refine_state import Layout, State, tangents_of
 from .start import Fix
 
@@ -108,6 +108,7 @@ def refine(
         rest or each other.
     """
     seen = joined(several)
+    check_references(seen)
     if not seen.boards:
         raise InputError(
             "no boards are among the observations, and nothing else fixes the camera",
@@ -131,22 +132,8 @@ def refine(
             "joint": None,
         }
     )
-    data = data_of(seen, active)
     fixed = tuple(fix) if fix is not None else held(start.intrinsics_or_fail())
-    turned = data.turned
-    layout = Layout.of(
-        free_directions(fixed),
-        len(active.lasers),
-        len(seen.boards),
-        0 if turned is None else int(turned.body.max()) + 1,
-        0 if turned is None else len(turned.nominal_rad),
-        len(seen.walls),
-        len(seen.spheres),
-        exact_angles=turned is not None and turned.sd_rad == 0.0,
-        sized=turned is not None and turned.size_sd > 0.0,
-    )
-    state = first_state(data, active)
-    solution = solve(data, layout, state, first_sigmas(data, layout, state))
+    data, layout, solution = _solved(seen, active, fixed)
     references = judged_references(data, layout, solution)
     contradictions(references)
     birge = enlargement(layout, solution)
@@ -174,6 +161,43 @@ def refine(
         references=references,
         fixed=fixed,
     )
+
+
+def _solved(
+    seen: Observations, start: Calibration, fixed: Sequence[Fix]
+) -> tuple[Data, Layout, Solution]:
+    """The solution; references come in when boards alone have said how good boards and stripes are.
+
+    Otherwise a wrong reference would only make the boards look bad.
+    """
+    references = {"walls": (), "spheres": (), "lengths": ()}
+    alone = seen.model_copy(update=references)
+    data, layout = _problem(alone, start, fixed)
+    state = first_state(data, start)
+    solution = solve(data, layout, state, first_sigmas(data, layout, state))
+    if alone == seen:
+        return data, layout, solution
+    data, layout = _problem(seen, start, fixed)
+    state = with_references(data, solution.state)
+    return data, layout, solve(data, layout, state, solution.sigmas, known=True)
+
+
+def _problem(seen: Observations, start: Calibration, fixed: Sequence[Fix]) -> tuple[Data, Layout]:
+    data = data_of(seen, start)
+    turned = data.turned
+    layout = Layout.of(
+        free_directions(fixed),
+        len(start.lasers),
+        len(seen.boards),
+        0 if turned is None else int(turned.body.max()) + 1,
+        0 if turned is None else len(turned.nominal_rad),
+        len(seen.walls),
+        len(seen.spheres),
+        len(data.board_of_stripe),
+        exact_angles=turned is not None and turned.sd_rad == 0.0,
+        sized=turned is not None and turned.size_sd > 0.0,
+    )
+    return data, layout
 
 
 def held(camera: Intrinsics) -> tuple[Fix, ...]:

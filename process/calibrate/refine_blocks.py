@@ -34,7 +34,9 @@ class Sigmas:
     """What the residuals are divided by: sd of a corner's coordinate, px, of boards and turning bodies.
 
     ``stripe``, ``wall``, ``sphere`` enlarge the stated sigmas of stripe points; ``ends_mm`` (L,) is
-    what the stripe's noise at both ends makes of each length.
+    what the stripe's noise at both ends makes of each length; ``bend_mm`` and ``twist_mm`` are what the
+    surface under a stripe is off its board's plane. ``memory`` and ``wall_memory`` (>= 1) say how many
+    rows of a stripe err together.
     """
 
     corner_px: float
@@ -43,6 +45,10 @@ class Sigmas:
     wall: float
     sphere: float
     ends_mm: Floats
+    bend_mm: float
+    twist_mm: float
+    memory: float = 1.0
+    wall_memory: float = 1.0
 
 
 def camera_columns(layout: Layout, rows: int) -> Ints:

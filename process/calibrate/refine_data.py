@@ -75,13 +75,20 @@ class Known:
 
 @dataclass(frozen=True)
 class Data:
-    """Everything that was seen. ``ends`` has two rows a length, ``on`` is the length's number."""
+    """Everything that was seen. ``ends`` has two rows a length, ``on`` is the length's number.
+
+    Of every point of ``stripes``: the stripe's own number in ``stripe``, and in ``along`` where on it
+    the point is, from -1 to 1. ``board_of_stripe`` (Q,) is the board under each stripe.
+    """
 
     width_px: int
     height_px: int
     board_names: tuple[str, ...]
     corners: Corners
     stripes: Lit
+    stripe: Ints
+    along: Floats
+    board_of_stripe: Ints
     turned: Turned | None
     wall_points: Lit
     walls: Known
@@ -142,6 +149,31 @@ def joined(several: Sequence[Observations]) -> Observations:
     return out
 
 
+def check_references(seen: Observations) -> None:
+    """Refuse references that say nothing.
+
+    Raises
+    ------
+    InputError
+        A wall or sphere holds too few stripe points, or a wall is seen in a single stripe.
+    """
+    for kind, least, these in (("wall", 3, seen.walls), ("sphere", 4, seen.spheres)):
+        for one in these:
+            points = sum(len(s.stripe.points_px) for s in one.stripes)
+            if points < least:
+                raise InputError(
+                    f"{one.name} holds {points} stripe points, a {kind} needs {least}",
+                    hint="give the stripe over all rows that show it",
+                )
+    for wall in seen.walls:
+        if len({(s.angle_rad, s.stripe.laser) for s in wall.stripes}) < 2:
+            raise InputError(
+                f"{wall.name} is seen in one stripe only: the wall could turn about it, and its "
+                "distance says nothing",
+                hint="turn the head (or light another laser) and take the wall at two angles or more",
+            )
+
+
 def data_of(seen: Observations, start: Calibration) -> Data:
     """The observations as arrays, for the lasers and the axis of ``start``.
 
@@ -180,21 +212,6 @@ def data_of(seen: Observations, start: Calibration) -> Data:
             along_v=np.repeat(np.array([s.along_v for _, s, _ in rows], np.bool_), counts),
         )
 
-    for kind, least, these in (("wall", 3, seen.walls), ("sphere", 4, seen.spheres)):
-        for one in these:
-            points = sum(len(s.stripe.points_px) for s in one.stripes)
-            if points < least:
-                raise InputError(
-                    f"{one.name} holds {points} stripe points, a {kind} needs {least}",
-                    hint="give the stripe over all rows that show it",
-                )
-    for wall in seen.walls:
-        if len({(s.angle_rad, s.stripe.laser) for s in wall.stripes}) < 2:
-            raise InputError(
-                f"{wall.name} is seen in one stripe only: the wall could turn about it, and its "
-                "distance says nothing",
-                hint="turn the head (or light another laser) and take the wall at two angles or more",
-            )
     counts = [len(b.points_px) for b in seen.boards]
     empty = np.zeros((0, 3))
     corners = Corners(
@@ -202,12 +219,16 @@ def data_of(seen: Observations, start: Calibration) -> Data:
         points_mm=np.concatenate([empty, *(np.array(b.points_mm) for b in seen.boards)]),
         seen_px=np.concatenate([empty[:, :2], *(np.array(b.points_px) for b in seen.boards)]),
     )
+    each = [(i, s) for i, b in enumerate(seen.boards) for s in b.stripes]
     return Data(
         width_px=seen.width_px,
         height_px=seen.height_px,
         board_names=tuple(b.name for b in seen.boards),
         corners=corners,
-        stripes=lit((i, s, 0.0) for i, b in enumerate(seen.boards) for s in b.stripes),
+        stripes=lit((i, s, 0.0) for i, s in each),
+        stripe=np.repeat(np.arange(len(each)), [len(s.points_px) for _, s in each]),
+        along=np.concatenate([np.zeros(0), *(_along(s) for _, s in each)]),
+        board_of_stripe=np.array([i for i, _ in each], np.int64),
         turned=None if seen.turning is None else _turned(seen.turning, sign, start),
         wall_points=lit(
             (i, s.stripe, s.angle_rad - w.stripes[0].angle_rad)
@@ -234,6 +255,13 @@ def data_of(seen: Observations, start: Calibration) -> Data:
             np.array([x.sd_mm for x in seen.lengths]),
         ),
     )
+
+
+def _along(s: SeenStripe) -> Floats:
+    """Place of the points along their stripe, -1 and 1 at its ends."""
+    rows = np.array([p[0] if s.along_v else p[1] for p in s.points_px], np.float64)
+    half = 0.5 * float(np.ptp(rows))
+    return (rows - rows.min() - half) / max(half, 1e-9)
 
 
 def _mean(end: SeenAt) -> tuple[SeenStripe, float]:

@@ -20,7 +20,7 @@ class RefineLimits:
     most_rms_px: float = 0.5
     most_stripe: float = 5.0
     most_condition: float = 1e6
-    most_birge: float = 3.0
+    most_birge: float = 5.0
     most_reference_sigmas: float = 3.0
 
 
@@ -54,6 +54,14 @@ def refine_quality(
             f"{r.name}: stated {r.stated_mm:.2f} mm (sd {r.sd_mm:g}), adjusted {r.found_mm:.2f} mm, "
             f"the others say {r.off_mm:+.2f} mm ({r.sigmas:+.1f} sigma)"
         )
+    if s.bend_mm > 0.02:
+        told.append(
+            f"the surfaces under the stripes are off their boards' planes by {s.bend_mm:.2g} mm (1 "
+            f"sigma; turned, at the ends, by {s.twist_mm:.2g} mm): boards that are not flat; the "
+            "covariance holds it"
+        )
+    if s.memory > 2.0:
+        told.append(f"{s.memory:.0f} neighbouring rows of a stripe err together; they count as one")
     if fit.birge > 1.0:
         told.append(
             f"boards and walls pull against each other {fit.birge:.2g} times as hard as their noise "

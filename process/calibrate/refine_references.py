@@ -76,7 +76,7 @@ def wall_residuals(
             np.einsum("ni,nij->nj", by_facing, by_spin),
         ]
         columns.append(axis_columns(layout, len(value)))
-    sigma = sigmas.wall * lit.sigma_px
+    sigma = sigmas.wall * np.sqrt(sigmas.wall_memory) * lit.sigma_px
     weight = 1.0 / (sigma * by_centre)
     cluster = len(data.board_names) + lit.on
     known = data.walls

@@ -15,7 +15,7 @@ from .refine_blocks import Block, Sigmas, block_columns, camera_columns
 from .refine_data import Data
 from .refine_references import length_residuals, sphere_residuals, wall_residuals
 from .refine_state import Chart, Layout, State
-from .refine_stripes import stripe_residuals
+from .refine_stripes import bend_residuals, stripe_residuals
 
 Floats = npt.NDArray[np.float64]
 
@@ -26,6 +26,7 @@ def residuals(data: Data, layout: Layout, chart: Chart, sigmas: Sigmas) -> list[
     out = [_corners(data, layout, chart, sigmas.corner_px)]
     if len(data.stripes.on):
         out.append(stripe_residuals(data, layout, chart, camera, sigmas))
+        out += bend_residuals(data, layout, chart.state, sigmas)
     if data.turned is not None:
         out += _turned(data, layout, chart, sigmas.turned_px)
     if len(data.walls.names):

@@ -26,11 +26,18 @@ Floats = npt.NDArray[np.float64]
 
 #: Residuals beyond so many sigmas count linearly (Huber).
 HUBER = 3.0
-_ROUNDS = 8
-_SETTLED = 0.01
+_ROUNDS = 10
+_SETTLED = 0.03
 _SINGULAR = 1e-13
+#: Kinds with thousands of residuals, of which a few say nothing.
+_MANY = ("corners", "turning", "stripes", "wall stripes", "sphere stripes")
+#: Kinds of deviations that are expected to be zero, and how far their variance may leap in a round.
+_PRIORS = ("bends", "twists")
+_LEAP = (0.04, 25.0)
 #: A corner is never better than this; perfect ones would make the rest weightless.
 _LEAST_PX = 1e-4
+#: No board is known to be flatter.
+_FLAT_MM = 0.01
 
 
 @dataclass(frozen=True)
@@ -48,8 +55,10 @@ class Solution:
     condition: float
 
 
-def solve(data: Data, layout: Layout, start: State, sigmas: Sigmas) -> Solution:
+def solve(data: Data, layout: Layout, start: State, sigmas: Sigmas, *, known: bool = False) -> Solution:
     """The minimum that is reached from ``start``.
+
+    ``known``: the sigmas of boards and table are what they are, and only those of references are found.
 
     Raises
     ------
@@ -63,16 +72,28 @@ def solve(data: Data, layout: Layout, start: State, sigmas: Sigmas) -> Solution:
         state = _round(data, layout, state, sigmas)
         blocks = residuals(data, layout, moved(state, layout, np.zeros(layout.width)), sigmas)
         normal = _normal(blocks, layout)
-        inverse, condition = _inverse(normal)
-        better = _components(blocks, layout, inverse, sigmas)
+        inverse = _inverse(normal)
+        better = _components(data, blocks, layout, inverse, sigmas)
+        if known:
+            found = {n: getattr(better, n) for n in ("wall", "sphere", "wall_memory")}
+            better = replace(sigmas, **found)
         change = max(
             abs(np.log(getattr(better, n) / getattr(sigmas, n)))
-            for n in ("corner_px", "turned_px", "stripe", "wall", "sphere")
+            for n in (
+                "corner_px",
+                "turned_px",
+                "stripe",
+                "wall",
+                "sphere",
+                "bend_mm",
+                "twist_mm",
+                "memory",
+            )
         )
         if change < _SETTLED:
             break
         sigmas = better
-    return Solution(state, sigmas, blocks, normal, inverse, condition)
+    return Solution(state, sigmas, blocks, normal, inverse, _condition(normal))
 
 
 def matrix_of(blocks: Sequence[Block], layout: Layout) -> sparse.csr_matrix:
@@ -101,16 +122,32 @@ def _normal(blocks: Sequence[Block], layout: Layout) -> Floats:
     return np.asarray((j.T @ j.multiply(w[:, None])).toarray(), np.float64)
 
 
-def _inverse(normal: Floats) -> tuple[Floats, float]:
+def _factor(normal: Floats) -> tuple[Floats, Floats]:
+    """Scales that make the diagonal 1, and the lower Cholesky factor of the matrix that they scale."""
     diagonal = np.diag(normal)
     if not np.isfinite(normal).all() or (diagonal <= 0).any():
         raise _unfixed()
     scale = 1.0 / np.sqrt(diagonal)
-    values, axes = np.linalg.eigh(normal * np.outer(scale, scale))
-    if values[0] <= _SINGULAR * values[-1]:
+    try:
+        factor = linalg.cholesky(normal * np.outer(scale, scale), lower=True)
+    except linalg.LinAlgError as error:
+        raise _unfixed() from error
+    # What is left of an unknown's curvature when those before it are free.
+    if np.square(np.diag(factor)).min() < _SINGULAR:
         raise _unfixed()
-    inverse = (axes / values) @ axes.T * np.outer(scale, scale)
-    return np.asarray(inverse, np.float64), float(np.sqrt(values[-1] / values[0]))
+    return scale, np.asarray(factor, np.float64)
+
+
+def _inverse(normal: Floats) -> Floats:
+    scale, factor = _factor(normal)
+    half = linalg.solve_triangular(factor, np.diag(scale), lower=True)
+    return np.asarray(half.T @ half, np.float64)
+
+
+def _condition(normal: Floats) -> float:
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    values = np.linalg.eigvalsh(normal * np.outer(scale, scale))
+    return float(np.sqrt(values[-1] / max(values[0], 1e-300)))
 
 
 def _unfixed() -> CalibrationError:
@@ -130,9 +167,7 @@ def _round(data: Data, layout: Layout, state: State, sigmas: Sigmas) -> State:
             hint="start from the calibration that the observations were made with",
         )
     normal = _normal(first, layout)
-    _inverse(normal)
-    scale = 1.0 / np.sqrt(np.diag(normal))
-    factor = linalg.cholesky(normal * np.outer(scale, scale), lower=True)
+    scale, factor = _factor(normal)
 
     def step(z: Floats) -> Floats:
         return scale * linalg.solve_triangular(factor, z, lower=True, trans="T")
@@ -198,21 +233,40 @@ def _round(data: Data, layout: Layout, state: State, sigmas: Sigmas) -> State:
     return chart.state
 
 
-def _components(blocks: Sequence[Block], layout: Layout, inverse: Floats, sigmas: Sigmas) -> Sigmas:
+def _components(
+    data: Data, blocks: Sequence[Block], layout: Layout, inverse: Floats, sigmas: Sigmas
+) -> Sigmas:
     """Sigmas that make each kind's weighted squares equal its redundancy (Foerstner 1979).
 
     Corners have no stated sigma; stripes have, and are only ever enlarged.
     """
     changes: dict[str, float] = {}
+    memory = {"stripes": sigmas.memory, "wall stripes": sigmas.wall_memory}
+    walls = data.wall_points
+    series = {
+        "stripes": data.stripe,
+        # A wall's stripes at each angle and of each laser by themselves.
+        "wall stripes": np.unique(
+            np.stack([walls.on, walls.laser, walls.phi_rad], axis=1), axis=0, return_inverse=True
+        )[1].ravel(),
+    }
     for b in blocks:
         if b.exact:
             continue
         w = weights_of(b)
-        j = matrix_of([b], layout)
-        taken = float((j.multiply(w[:, None]) @ inverse * 1.0).ravel() @ j.toarray().ravel())
-        redundancy = float(w.sum()) - taken
-        if redundancy > 5.0:
-            changes[b.kind] = float(np.sqrt((w * b.values**2).sum() / redundancy))
+        # Of single rows, whatever they have in common.
+        values = b.values * np.sqrt(memory.get(b.kind, 1.0))
+        if b.kind in memory:
+            memory[b.kind] = _memory(values, series[b.kind])
+        # The trace of J inverse J', each row weighted.
+        redundancy = float(w.sum() - (inverse * _normal([b], layout)).sum())
+        if redundancy > (5.0 if b.kind in _MANY else 0.5):
+            ratio = float((w * values**2).sum() / redundancy)
+            if b.kind in _PRIORS:
+                # Of a deviation that is hardly seen the ratio says little: solved for its variance.
+                seen = redundancy / float(w.sum())
+                ratio = float(np.clip((ratio - 1.0 + seen) / seen, *_LEAP))
+            changes[b.kind] = float(np.sqrt(ratio))
 
     def enlarged(name: str, kind: str) -> float:
         return max(1.0, float(getattr(sigmas, name)) * changes.get(kind, 1.0))
@@ -224,4 +278,28 @@ def _components(blocks: Sequence[Block], layout: Layout, inverse: Floats, sigmas
         stripe=enlarged("stripe", "stripes"),
         wall=enlarged("wall", "wall stripes"),
         sphere=enlarged("sphere", "sphere stripes"),
+        memory=memory["stripes"],
+        wall_memory=memory["wall stripes"],
+        bend_mm=max(_FLAT_MM, sigmas.bend_mm * changes.get("bends", 1.0)),
+        twist_mm=max(_FLAT_MM, sigmas.twist_mm * changes.get("twists", 1.0)),
     )
+
+
+def _memory(values: Floats, series: npt.NDArray[np.int64]) -> float:
+    """How many neighbours err together: 1 + 2 sum of autocorrelations while they are positive.
+
+    Over all ``series`` (stripes) at once, each a run of values. Speckle, paper and squares under a
+    stripe move its centre over many rows alike, and then a thousand rows are not a thousand witnesses.
+    """
+    runs = [values[series == k] for k in range(int(series.max()) + 1)]
+    longest = max(len(r) for r in runs) // 2
+    power = float(sum(r @ r for r in runs))
+    total = 1.0
+    for lag in range(1, longest):
+        together = float(sum(r[:-lag] @ r[lag:] for r in runs if len(r) > lag))
+        # As many rows less as the lag takes from every run.
+        share = together / power * len(values) / max(1, sum(max(0, len(r) - lag) for r in runs))
+        if share < 2.0 / np.sqrt(len(values)):
+            break
+        total += 2.0 * share
+    return total

@@ -10,7 +10,6 @@ import numpy.typing as npt
 from ...schemas.calibration import Calibration
 from ...schemas.errors import CalibrationError, InputError
 from ..camera import undistort_points
-from ..triangulate import intersect
 from .axis import fit_axis
 from .axis_adjust import Sightings
 from .pose import board_poses, rotation_of
@@ -24,15 +23,17 @@ Floats = npt.NDArray[np.float64]
 
 #: A corner is expected to be as good as this, or as bad.
 _CORNER_PX = (0.02, 2.0)
+#: Boards are rarely flatter; how flat these are is found from the stripes.
+_FIRST_BEND_MM = (0.1, 0.1)
 
 
 def first_state(data: Data, start: Calibration) -> State:
-    """The state that the calibration ``start`` and single views make of the observations.
+    """The state that ``start`` and single views make of boards and table; no references yet.
 
     Raises
     ------
     CalibrationError
-        A board has no pose, the turning fits no axis, or a reference's stripe has no points.
+        A board has no pose, or the turning fits no axis.
     """
     camera = start.intrinsics_or_fail()
     turns, shifts = [], []
@@ -53,7 +54,7 @@ def first_state(data: Data, start: Calibration) -> State:
         assert axis is not None
         bodies, body_shifts, phi, point, direction = _turning(data.turned, start, point, direction)
         offset = float(np.mean(phi - data.turned.nominal_rad))
-    state = State(
+    return State(
         camera=np.array(
             [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, camera.skew, *camera.distortion]
         ),
@@ -72,9 +73,9 @@ def first_state(data: Data, start: Calibration) -> State:
         wall_normals=np.zeros((0, 3)),
         wall_distances_mm=np.zeros(0),
         centres_mm=np.zeros((0, 3)),
-        diameters_mm=data.spheres.value_mm.copy(),
+        diameters_mm=np.zeros(0),
+        bends_mm=np.zeros((len(data.board_of_stripe), 2)),
     )
-    return _with_references(data, start, state)
 
 
 def _turning(
@@ -107,11 +108,17 @@ def _turning(
     return turning.rotations, turning.translations_mm, flip * turning.phi_rad, near, found
 
 
-def _with_references(data: Data, start: Calibration, state: State) -> State:
-    """Walls through their stripes, spheres through theirs."""
+def with_references(data: Data, state: State) -> State:
+    """The state with walls through their stripes, and spheres through theirs.
+
+    Raises
+    ------
+    CalibrationError
+        A reference's stripe lies where laser and rays do not meet.
+    """
     walls, distances = [], []
     for number, name in enumerate(data.walls.names):
-        points = _points(data.wall_points, number, start, state, name)
+        points = _points(data, data.wall_points, number, state, name)
         mine = data.wall_points.on == number
         sheets = np.stack([data.wall_points.laser[mine], data.wall_points.phi_rad[mine]])
         # One stripe is a line: of all planes through it the one that faces the camera's ray most.
@@ -127,24 +134,27 @@ def _with_references(data: Data, start: Calibration, state: State) -> State:
         distances.append(float(normal @ middle))
     centres = []
     for number, name in enumerate(data.spheres.names):
-        points = _points(data.sphere_points, number, start, state, name)
+        points = _points(data, data.sphere_points, number, state, name)
         centres.append(_centre(points, 0.5 * float(data.spheres.value_mm[number])))
     return replace(
         state,
+        diameters_mm=data.spheres.value_mm.copy(),
         wall_normals=np.array(walls).reshape(-1, 3),
         wall_distances_mm=np.array(distances),
         centres_mm=np.array(centres).reshape(-1, 3),
     )
 
 
-def _points(lit: Lit, number: int, start: Calibration, state: State, name: str) -> Floats:
-    """A reference's stripe points in camera space, turned back, by the calibration as it was."""
+def _points(data: Data, lit: Lit, number: int, state: State, name: str) -> Floats:
+    """A reference's stripe points in camera space, turned back."""
     mine = lit.on == number
-    x, y = undistort_points(lit.u_px[mine], lit.v_px[mine], start.intrinsics_or_fail())
-    out = np.empty((int(mine.sum()), 3))
-    laser = lit.laser[mine]
-    for k in np.unique(laser):
-        out[laser == k] = intersect(x[laser == k], y[laser == k], start.lasers[k])
+    camera = state.intrinsics(data.width_px, data.height_px)
+    x, y = undistort_points(lit.u_px[mine], lit.v_px[mine], camera)
+    rays = np.stack([x, y, np.ones_like(x)], axis=1)
+    normals, distances = state.normals[lit.laser[mine]], state.distances_mm[lit.laser[mine]]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = distances / np.einsum("ni,ni->n", normals, rays)
+    out = np.where((depth > 0)[:, None], depth[:, None] * rays, np.nan)
     if not np.isfinite(out).all():
         raise CalibrationError(
             f"{name}: {int((~np.isfinite(out).all(axis=1)).sum())} of its stripe points lie beyond "
@@ -176,10 +186,10 @@ def first_sigmas(data: Data, layout: Layout, state: State) -> Sigmas:
     """Sigmas to begin with: corners by their own residuals, stripes as stated."""
     chart = moved(state, layout, np.zeros(layout.width))
     noise = ends_noise_mm(data, layout, chart)
-    plain = Sigmas(1.0, 1.0, 1.0, 1.0, 1.0, noise)
+    plain = Sigmas(1.0, 1.0, 1.0, 1.0, 1.0, noise, *_FIRST_BEND_MM)
     spread = {
         b.kind: float(np.clip(1.4826 * np.nanmedian(np.abs(b.values)), *_CORNER_PX))
         for b in residuals(data, layout, chart, plain)
         if b.kind in ("corners", "turning")
     }
-    return Sigmas(spread["corners"], spread.get("turning", 1.0), 1.0, 1.0, 1.0, noise)
+    return Sigmas(spread["corners"], spread.get("turning", 1.0), 1.0, 1.0, 1.0, noise, *_FIRST_BEND_MM)

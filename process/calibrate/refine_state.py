@@ -28,7 +28,9 @@ class State:
     bodies (M) on the table at phi = 0; ``phi_rad`` (F,) of the frames, with ``scale`` and
     ``offset_rad`` of the nominal angles and the bodies' ``size``; ``wall_normals`` (W, 3) and
     ``wall_distances_mm`` (W,) at each wall's first stripe; ``centres_mm`` (S, 3) and ``diameters_mm``
-    (S,) of the spheres.
+    (S,) of the spheres;
+    ``bends_mm`` (Q, 2) how far the surface under each stripe is off its board's plane, in the middle of
+    the stripe and, with opposite signs, at its ends.
     """
 
     camera: Floats
@@ -48,6 +50,7 @@ class State:
     wall_distances_mm: Floats
     centres_mm: Floats
     diameters_mm: Floats
+    bends_mm: Floats
 
     def intrinsics(self, width_px: int, height_px: int) -> Intrinsics:
         """The camera as a part of a calibration, without covariance."""
@@ -70,8 +73,8 @@ class Layout:
 
     ``free`` (10, m) maps the camera's m unknowns to its ten numbers; ``planes``, ``axis`` (length 4,
     empty when the axis is not estimated), ``boards``, ``bodies``, ``phi`` (one a frame but the first;
-    empty for exact angles), ``angles`` (scale, offset; likewise), ``size``, ``walls`` (3 each) and
-    ``spheres`` (4 each) are first index and count of blocks.
+    empty for exact angles), ``angles`` (scale, offset; likewise), ``size``, ``walls`` (3 each),
+    ``spheres`` (4 each) and ``bends`` (2 each) are first index and count of blocks.
     """
 
     free: Floats
@@ -84,6 +87,7 @@ class Layout:
     size: range
     walls: range
     spheres: range
+    bends: range
 
     @property
     def calibration(self) -> int:
@@ -93,7 +97,7 @@ class Layout:
     @property
     def width(self) -> int:
         """How many unknowns there are."""
-        return self.spheres.stop
+        return self.bends.stop
 
     @classmethod
     def of(
@@ -105,6 +109,7 @@ class Layout:
         frames: int,
         walls: int,
         spheres: int,
+        stripes: int,
         *,
         exact_angles: bool,
         sized: bool,
@@ -123,6 +128,7 @@ class Layout:
             1 if sized and bodies else 0,
             3 * walls,
             4 * spheres,
+            2 * stripes,
         ):
             blocks.append(range(at, at + count))
             at += count
@@ -169,6 +175,7 @@ def moved(base: State, layout: Layout, x: Floats) -> Chart:
         wall_distances_mm=base.wall_distances_mm + walls[:, 2],
         centres_mm=base.centres_mm + spheres[:, :3],
         diameters_mm=base.diameters_mm + spheres[:, 3],
+        bends_mm=base.bends_mm + x[lay.bends.start : lay.bends.stop].reshape(-1, 2),
     )
     across = tangents_of(base.direction[None])[0]
     by_direction = np.zeros((3, 2))

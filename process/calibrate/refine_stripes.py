@@ -99,13 +99,25 @@ def plane_slopes(lit: Lit, chart: Chart, by_normal: Floats, by_distance: Floats)
     return np.concatenate([bent, by_distance[:, None]], axis=1)
 
 
+def bend_residuals(data: Data, layout: Layout, s: State, sigmas: Sigmas) -> list[Block]:
+    """What the surfaces under the stripes are off their boards' planes: nothing, to bend and twist."""
+    number = np.arange(len(data.board_of_stripe))
+    out = []
+    for k, (kind, sd) in enumerate((("bends", sigmas.bend_mm), ("twists", sigmas.twist_mm))):
+        columns = (layout.bends.start + 2 * number + k)[:, None]
+        slopes = np.full((len(number), 1), 1.0 / sd)
+        out.append(Block(kind, s.bends_mm[:, k] / sd, columns, slopes, data.board_of_stripe))
+    return out
+
+
 def stripe_residuals(
     data: Data, layout: Layout, chart: Chart, camera: Intrinsics, sigmas: Sigmas
 ) -> Block:
     """Stripes on boards: how far each centre is from where laser and board say, in sigmas."""
     lit, s = data.stripes, chart.state
     facing, shift = s.board_turns[lit.on, :, 2], s.board_shifts_mm[lit.on]
-    offset = np.einsum("ni,ni->n", facing, shift)
+    bends = s.bends_mm[data.stripe]
+    offset = np.einsum("ni,ni->n", facing, shift) + bends[:, 0] + data.along * bends[:, 1]
     lit, gone = placed_at(lit, s, facing, offset, camera)
     c = crossing_of(lit, s, camera)
     value, by_centre, by_camera, by_normal, by_distance, by_m = on_surface(
@@ -120,16 +132,19 @@ def stripe_residuals(
             plane_slopes(lit, chart, by_normal, by_distance),
             by_turn,
             -along * facing,
+            -along,
+            -along * data.along[:, None],
         ],
         axis=1,
     )
-    sigma = sigmas.stripe * lit.sigma_px
+    sigma = sigmas.stripe * np.sqrt(sigmas.memory) * lit.sigma_px
     weight = 1.0 / (sigma * by_centre)
     columns = np.concatenate(
         [
             camera_columns(layout, len(value)),
             block_columns(layout.planes.start, 3, lit.laser),
             block_columns(layout.boards.start, 6, lit.on),
+            block_columns(layout.bends.start, 2, data.stripe),
         ],
         axis=1,
     )

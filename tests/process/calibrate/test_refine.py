@@ -15,7 +15,7 @@ from turnscan.process.calibrate.refine import Refined, held, refine
 from turnscan.process.calibrate.refine_data import data_of, joined
 from turnscan.process.calibrate.refine_residuals import residuals
 from turnscan.process.calibrate.refine_solve import matrix_of
-from turnscan.process.calibrate.refine_start import first_sigmas, first_state
+from turnscan.process.calibrate.refine_start import first_sigmas, first_state, with_references
 from turnscan.process.calibrate.refine_state import Layout, moved
 from turnscan.process.camera import undistort_points
 from turnscan.process.triangulate import intersect, scene_from_turntable, turntable_from_camera
@@ -56,10 +56,11 @@ def test_every_derivative_is_that_of_differences() -> None:
         len(data.turned.nominal_rad),
         1,
         1,
+        len(data.board_of_stripe),
         exact_angles=False,
         sized=True,
     )
-    state = first_state(data, base)
+    state = with_references(data, first_state(data, base))
     sigmas = first_sigmas(data, layout, state)
     rng = np.random.default_rng(0)
     at = 1e-3 * rng.standard_normal(layout.width)
@@ -70,7 +71,7 @@ def test_every_derivative_is_that_of_differences() -> None:
 
     blocks = residuals(data, layout, moved(state, layout, at), sigmas)
     assert {b.kind for b in blocks} == {
-        "corners", "stripes", "turning", "angles", "size", "wall stripes", "walls",
+        "corners", "stripes", "bends", "twists", "turning", "angles", "size", "wall stripes", "walls",
         "sphere stripes", "spheres", "lengths",
     }  # fmt: skip
     exact = matrix_of(blocks, layout).toarray()
