@@ -74,7 +74,8 @@ def process(
         return
     if dry_run:
         rows = _stale_rows(archive, picked, made_with, calibration)
-        session.say(f"would derive {sum(r['stale'] for r in rows)} of {2 * len(picked)} tables")
+        tables = sum(len(r["table"].split(" and ")) for r in rows if r["stale"])
+        session.say(f"would derive {tables} of {2 * len(picked)} tables")
         emit(rows, ["scan", "label", "table", "stale", "why"], chosen_style)
         _raise_first(rows)
         return
@@ -125,17 +126,16 @@ def _report(outcomes: list[Outcome], style: Format) -> None:
 def _stale_rows(
     archive: Archive, picked: list[Any], recipe: Any, calibration: str
 ) -> list[dict[str, Any]]:
+    """One row a scan: which of its tables are stale, and why in one line."""
     rows: list[dict[str, Any]] = []
     for scan, plan in zip(picked, archive.plan(picked, recipe, calibration), strict=True):
-        base = {"scan": scan.scan, "label": scan.label}
+        row: dict[str, Any] = {"scan": scan.scan, "label": scan.label}
         if isinstance(plan, TurnscanError):
-            rows.append(
-                {**base, "table": "points", "stale": True, "why": str(plan), "error": plan.message}
-            )
-            continue
-        for kind, made in (("stripes", plan.stripes), ("points", plan.points)):
-            why = "" if made else archive.why_missing(plan, kind)
-            rows.append({**base, "table": kind, "stale": made is None, "why": why})
+            row |= {"table": "points", "stale": True, "why": str(plan), "error": plan.message}
+        else:
+            tables = " and ".join(plan.missing)
+            row |= {"table": tables, "stale": not plan.done, "why": archive.why_stale(plan)}
+        rows.append(row)
     return rows
 
 
@@ -155,13 +155,13 @@ def status(
     style: FormatOption = Format.table,
     as_json: JsonOption = False,
 ) -> None:
-    """List what is stale, and which input changed."""
+    """List the scans that are stale, each with the reason in one line."""
     archive = open_archive()
     picked = chosen_scans(archive, scans, where)
     rows = _stale_rows(archive, picked, chosen_recipe(archive, recipe), calibration)
     stale = [r for r in rows if r["stale"]]
     current_session().say(
-        f"stale: {counted(len(stale), 'table')} of {counted(len({r['scan'] for r in stale}), 'scan')}"
+        f"stale: {len(stale)} of {counted(len(picked), 'scan')}"
         if stale
         else f"{counted(len(picked), 'scan')} up to date"
     )

@@ -98,7 +98,7 @@ def export_to(
     info = ExportInfo(
         scans=[m.scan for m in made],
         recipe=f"{made[0].recipe_document.get('name')} ({made[0].recipe})",
-        calibrations=sorted({str(m.calibration) for m in made}),
+        calibrations=[str(m.calibration) for m in made],
         keys=[m.key for m in made],
         software=SOFTWARE,
         rows=sum(m.rows for m in made),
@@ -132,7 +132,7 @@ def _draw(
         [b.column(n).to_numpy() for n in names] for manifest in made for b in archive.read(manifest)
     ]
     x, y, z = (np.concatenate([p[i] for p in parts]) if parts else np.zeros(0) for i in range(3))
-    draw_cloud(x, y, z, out, title=f"{', '.join(info.scans)[:60]}, {info.recipe}")
+    draw_cloud(x, y, z, out, title=f"{', '.join(info.scans)[:60]}, {info.recipe}", about=info.lines())
 
 
 def points_of(

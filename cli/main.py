@@ -23,7 +23,13 @@ from ..schemas.errors import (
     UsageError,
 )
 from ..schemas.software import SOFTWARE
+from .calibrating import calibrate_app
+from .calibrating_axis import calibrate_axis_command
+from .calibrating_centre import calibrate_centre_command
+from .calibrating_plane import calibrate_plane_command
+from .calibrating_refine import calibrate_refine_command
 from .calibrations import calibration_app
+from .comparing import compare
 from .demo import demo
 from .deriving import process, status
 from .exporting import export, query
@@ -55,6 +61,30 @@ app.command(epilog="Example: turnscan demo room --overwrite")(demo)
 app.command(epilog="Example: turnscan record --rig rig.toml --label bust --step-deg 0.5")(record)
 app.add_typer(rig_app, name="rig")
 app.add_typer(import_app, name="import")
+calibrate_app.command(
+    "plane",
+    epilog="Examples: turnscan calibrate plane laser --pattern 8x6 --square-mm 40 -c camera.json "
+    "-o cal.json --picture plane.png; turnscan calibrate plane pairs --off '*_off.png' "
+    "--pattern 11x6 --square-mm 13 --laser 0 --laser 1 -c camera.json -o cal.json",
+)(calibrate_plane_command)
+calibrate_app.command(
+    "axis",
+    epilog="Examples: turnscan calibrate axis 'table/*.jpg' --step-deg 22.5 --markers 4X4_50 "
+    "--marker-side-mm 30 -c cal.json -o rig.json; turnscan calibrate axis turned --angles angles.csv "
+    "--pattern 9x6 --square-mm 25 --head rotates -c cal.json -o rig.json",
+)(calibrate_axis_command)
+calibrate_app.command(
+    "laser-centre",
+    epilog="Examples: turnscan calibrate laser-centre 500:230 2000:865; turnscan calibrate "
+    "laser-centre 500:230 2000:865 --sigma-distance-mm 1.5 -c cal.json -o cal2.json",
+)(calibrate_centre_command)
+calibrate_app.command(
+    "refine",
+    epilog="Examples: turnscan calibrate refine camera-seen.json plane-seen.json axis-seen.json "
+    "-c rig.json -o refined.json; turnscan calibrate refine camera-seen.json plane-seen.json "
+    "-c rig.json --wall wall.csv:7000:1.5 -o refined.json",
+)(calibrate_refine_command)
+app.add_typer(calibrate_app, name="calibrate")
 app.add_typer(calibration_app, name="calibration")
 app.command(epilog="Example: turnscan process latest --recipe paper --dry-run")(process)
 app.command(epilog="Example: turnscan status --check")(status)
@@ -65,6 +95,7 @@ app.command(
 )(query)
 app.command(epilog="Example: turnscan export latest cloud.ply")(export)
 app.add_typer(report_app, name="report")
+app.command(epilog="Example: turnscan compare recorded current latest --picture shifts.png")(compare)
 app.command(epilog="Example: turnscan verify --json")(verify)
 app.command(epilog="Example: turnscan repair --dry-run")(repair)
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import struct
+import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +31,7 @@ def draw_cloud(
     out: Path,
     *,
     title: str,
+    about: Sequence[str] = (),
     width_px: int = 1400,
     height_px: int = 720,
     azimuth_deg: float = -55.0,
@@ -36,7 +40,8 @@ def draw_cloud(
     """Write a PNG of the points (scene space, mm): oblique on the left, plan on the right.
 
     What lies beyond the 0.2 and 99.8 percentiles is left out. If most points are high above the rest
-    (a ceiling), the oblique view is cut below them, so that one can look inside.
+    (a ceiling), the oblique view is cut below them, so that one can look inside. ``about`` is kept as
+    the file's description (PNG text).
 
     Raises
     ------
@@ -73,9 +78,19 @@ def draw_cloud(
     ok, data = cv2.imencode(".png", small)
     assert ok
     try:
-        out.write_bytes(np.asarray(data).tobytes())
+        out.write_bytes(_described(np.asarray(data).tobytes(), "\n".join(about)))
     except OSError as error:
         raise StorageError(f"cannot write {out}: {error.strerror}") from error
+
+
+def _described(png: bytes, text: str) -> bytes:
+    """``png`` with a tEXt chunk "Description" (PNG specification, 11.3.3.2) after its header chunk."""
+    if not text:
+        return png
+    body = b"tEXtDescription\0" + text.encode("latin-1", "backslashreplace")
+    chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
+    # Eight bytes of signature, then IHDR: 4 of length, 4 of type, 13 of content, 4 of CRC.
+    return png[:33] + chunk + png[33:]
 
 
 def _has_ceiling(points: Floats, low: Floats, span: Floats) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -51,6 +51,12 @@ ScanArgument = Annotated[
     str,
     typer.Argument(
         metavar="SCAN", help="Id, unique prefix, label, or latest.", autocompletion=complete_scan
+    ),
+]
+CalibrationArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="CALIBRATION", help="Id or unique prefix.", autocompletion=complete_calibration
     ),
 ]
 WhereOption = Annotated[
@@ -114,17 +120,26 @@ def parse_time(text: str | None, option: str) -> int | None:
     if text is None:
         return None
     if text.isdigit() and len(text) > 10:
-        return int(text)
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError as error:
+        t_ns = int(text)
+    else:
+        try:
+            moment = datetime.fromisoformat(text)
+        except ValueError as error:
+            raise UsageError(
+                f"{option} {text!r}: expected a time in ISO 8601 or whole nanoseconds",
+                hint=f"such as {option} 2026-11-21, 2026-11-21T10:30 (both UTC), "
+                "2026-11-21T11:30+01:00",
+            ) from error
+        if moment.tzinfo is None:
+            moment = moment.replace(tzinfo=UTC)
+        # Whole microseconds: a float of seconds would be off by some hundred nanoseconds.
+        t_ns = (moment - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) * 1000
+    if not 0 <= t_ns < 2**63:
         raise UsageError(
-            f"{option} {text!r}: expected a time in ISO 8601 or whole nanoseconds",
-            hint=f"such as {option} 2026-11-21T10:30:00, which is UTC",
-        ) from error
-    if moment.tzinfo is None:
-        moment = moment.replace(tzinfo=UTC)
-    return round(moment.timestamp() * 1_000_000) * 1000
+            f"{option} {text!r} lies outside the years 1970 to 2262",
+            hint=f"leave {option} out where there is no such limit",
+        )
+    return t_ns
 
 
 def show_time(t_ns: int | None) -> str:

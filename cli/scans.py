@@ -1,4 +1,4 @@
-"""``turnscan scan``: list, show, tag, retire."""
+"""``turnscan scan``: list, show, tag, reference, retire."""
 
 from __future__ import annotations
 
@@ -150,6 +150,51 @@ def tag_scan(
     for log in archive.chain(summary.scan):
         archive.tag(log.scan, parse_tags(tags), label)
     current_session().say(f"tagged {summary.scan}")
+
+
+@scan_app.command(
+    "reference",
+    epilog="Example: turnscan scan reference latest target x_mm=0 y_mm=500 z_mm=80 sd_mm=0.5",
+)
+def add_reference(
+    scan: ScanArgument,
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="What it is, such as target.")],
+    values: Annotated[
+        list[str], typer.Argument(metavar="K=V...", help="Its values; numbers where they are numbers.")
+    ],
+    note: Annotated[str, typer.Option("--note", help="How it was measured.")] = "",
+) -> None:
+    """Record a trusted measurement of what a scan shows. The log is not touched: an event is recorded.
+
+    A target is a point on a flat spot of the scene, for calibration check: x_mm, y_mm, z_mm, and, where
+    known, sd_mm, within_mm, name.
+    """
+    from ..schemas.archive_events import Referenced
+
+    value: dict[str, Any] = {"kind": kind}
+    for name, text in parse_tags(values).items():
+        try:
+            value[name] = float(text)
+        except ValueError:
+            value[name] = text
+        if isinstance(value[name], float) and not math.isfinite(value[name]):
+            raise UsageError(f"{name}={text}: expected a finite number", hint="such as x_mm=120.5")
+    _check_target(value)
+    archive = open_archive()
+    summary = archive.scan(scan)
+    event = archive.record_event(Referenced, scan=summary.scan, value=value, note=note)
+    current_session().say(f"recorded {kind} for {summary.scan} by event {event.id}")
+
+
+def _check_target(value: dict[str, Any]) -> None:
+    if value["kind"] != "target":
+        return
+    missing = [n for n in ("x_mm", "y_mm", "z_mm") if not isinstance(value.get(n), float)]
+    if missing:
+        raise UsageError(
+            f"a target needs {', '.join(missing)} as numbers",
+            hint="such as target x_mm=0 y_mm=500 z_mm=80 sd_mm=0.5, in scene space",
+        )
 
 
 @scan_app.command("retire", epilog="Example: turnscan scan retire s-01K --note 'laser was off'")

@@ -10,6 +10,7 @@ import logging
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -112,9 +113,15 @@ def _one(
         return Outcome(scan.scan, error=error)
 
 
+@cache
+def _archive(root: Path) -> Archive:
+    """The archive of this worker process: opened once, not for each of a thousand small scans."""
+    return Archive.open(root)
+
+
 def _in_worker(root: Path, scan: ScanSummary, plan: Plan | TurnscanError) -> Outcome:
     try:
-        return _one(Archive.open(root), scan, plan, None)
+        return _one(_archive(root), scan, plan, None)
     except TurnscanError as error:
         return Outcome(scan.scan, error=error)
 

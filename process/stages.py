@@ -160,6 +160,8 @@ class PointChain:
                 along_v=self._horizontal,
                 camera=self._camera,
                 plane=plane,
+                joint=self._calibration.joint,
+                share=self._step.sigma or "total",
             )
         keep = np.isfinite(distance) & (distance >= self._step.min_range_mm)
         if self._step.max_range_mm is not None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -19,7 +21,8 @@ def in_processes(
 ) -> Iterator[Result]:
     """``function(*job)`` of every job, in the order of ``jobs``, a process each.
 
-    No more jobs than workers are under way, so that an interrupt ends all of them at once.
+    Each worker has one job in hand and one waiting, so that none stands idle between small ones; an
+    interrupt still ends all of them at once.
 
     Raises
     ------
@@ -34,7 +37,7 @@ def in_processes(
     begun = given = 0
     try:
         while given < len(jobs):
-            while begun < len(jobs) and len(pending) < workers:
+            while begun < len(jobs) and len(pending) < 2 * workers:
                 pending[pool.submit(function, *jobs[begun])] = begun
                 begun += 1
             finished, _ = wait(pending, return_when=FIRST_COMPLETED)
@@ -59,8 +62,18 @@ def in_processes(
 
 
 def _prepare() -> None:
-    """In each worker: die quietly of Ctrl-C, and leave the other cores to the other workers."""
+    """In each worker: die quietly of Ctrl-C and with the parent, leave other cores to other workers."""
     import cv2
 
+    # A parent that is killed cannot tell its workers: they would wait for jobs for ever.
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     cv2.setNumThreads(1)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        # At once: what is not published is only staged, and there is nobody left to hear of it.
+        os._exit(1)

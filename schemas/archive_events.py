@@ -30,24 +30,38 @@ class ArchiveEvent(Sealed):
 
 
 class Certified(ArchiveEvent):
-    """A calibration holds for a rig over [from_ns, to_ns); an open end is None."""
+    """A calibration holds for a rig over [from_ns, to_ns); an open end is None.
+
+    One that was certified although something spoke against it (a failed acceptance limit, an unknown
+    rig) keeps what that was in ``objections`` and the answer of whoever forced it in ``reason``.
+    """
 
     kind: Literal["certified"] = "certified"
     calibration: str
     rig: str
     from_ns: Nanoseconds | None = None
     to_ns: Nanoseconds | None = None
+    objections: tuple[str, ...] | None = None
+    reason: Annotated[str, Field(min_length=1)] | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         if self.from_ns is not None and self.to_ns is not None and self.to_ns <= self.from_ns:
             raise ValueError(f"to_ns {self.to_ns} is not after from_ns {self.from_ns}")
+        if self.objections and not self.reason:
+            raise ValueError("objections were raised, and no reason is given")
         return self
 
     def covers(self, t_ns: int) -> bool:
         """Whether ``t_ns`` lies in the half-open range."""
         return (self.from_ns is None or t_ns >= self.from_ns) and (
             self.to_ns is None or t_ns < self.to_ns
+        )
+
+    def overlaps(self, from_ns: int | None, to_ns: int | None) -> bool:
+        """Whether any moment lies in this range and in [from_ns, to_ns)."""
+        return (self.to_ns is None or from_ns is None or from_ns < self.to_ns) and (
+            self.from_ns is None or to_ns is None or self.from_ns < to_ns
         )
 
 

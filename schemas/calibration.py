@@ -3,6 +3,7 @@
 All geometry is in camera space (X right, Y down, Z forward, mm) as docs/conventions.md draws it.
 Each *part* has a content id of its own, so that a derivation's key can name just the parts that its
 stages use. Unit vectors are normalised on the way in when they are within 1e-3 of unit length.
+A joint adjustment also knows how the errors of the parts hang together: the part ``joint``.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pydantic import Field, model_validator
 from .canonical import digest
 from .document import Model, check_version, parse_json, validate
 from .errors import CalibrationError, DocumentError
+from .quality import Gate, Quality, Verdict
 
 FORMAT: Final = "turnscan.calibration"
 VERSION: Final = 1
@@ -185,6 +187,48 @@ class TurntableAxis(Part):
         return sign if self.positive_turn == "counterclockwise" else -sign
 
 
+#: Numbers that the covariance of a part counts: intrinsics 10, a plane 4, the axis 6.
+_NUMBERS = {"intrinsics": 10, "plane": 4, "axis": 6}
+
+
+class Joint(Part):
+    """Covariance of several parts together, cross terms included: what one joint adjustment knows.
+
+    ``order`` names the roles whose numbers follow each other in ``covariance``, each in the order of
+    its own part (intrinsics 10, ``plane/<laser>`` 4, axis 6). The blocks on the diagonal are the
+    parts' own covariances.
+    """
+
+    order: Annotated[tuple[str, ...], Field(min_length=2)]
+    covariance: Matrix
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if len(set(self.order)) != len(self.order):
+            raise ValueError(f"order: the same part stands twice in {list(self.order)}")
+        unknown = [r for r in self.order if r.partition("/")[0] not in _NUMBERS]
+        if unknown:
+            raise ValueError(f"order: no part is called {unknown[0]!r}")
+        size = sum(_NUMBERS[r.partition("/")[0]] for r in self.order)
+        _check_covariance(self.covariance, size, " ".join(self.order))
+        return self
+
+    def numbers(self, role: str) -> range:
+        """Where the numbers of ``role`` stand in the covariance; empty if it is not in it."""
+        start = 0
+        for other in self.order:
+            count = _NUMBERS[other.partition("/")[0]]
+            if other == role:
+                return range(start, start + count)
+            start += count
+        return range(0)
+
+    def block(self, *roles: str) -> Matrix:
+        """The covariance of these parts alone, in this order."""
+        at = [i for role in roles for i in self.numbers(role)]
+        return tuple(tuple(self.covariance[i][j] for j in at) for i in at)
+
+
 def _is_vector(v: Any) -> TypeGuard[Vector]:
     return (
         isinstance(v, (list, tuple))
@@ -203,13 +247,48 @@ class Calibration(Model):
     camera: Intrinsics | None = None
     lasers: tuple[LaserPlane, ...] = ()
     turntable: TurntableAxis | None = None
+    # None, and so absent from the digest, in documents that nobody judged.
+    quality: Annotated[tuple[Quality, ...], Field(min_length=1)] | None = None
+    # None in documents whose parts were estimated one after the other.
+    joint: Joint | None = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         numbers = [plane.laser for plane in self.lasers]
         if len(set(numbers)) != len(numbers):
             raise ValueError(f"lasers: the same laser number stands twice in {numbers}")
+        judged = [q.part for q in self.quality or ()]
+        if len(set(judged)) != len(judged):
+            raise ValueError(f"quality: the same part stands twice in {judged}")
+        if self.joint is not None:
+            self._check_joint(self.joint)
         return self
+
+    def _check_joint(self, joint: Joint) -> None:
+        """A part that was replaced after the joint adjustment makes the cross terms meaningless."""
+        parts = self.parts()
+        for role in joint.order:
+            part = parts.get(role)
+            own = getattr(part, "covariance", None)
+            if own is None:
+                raise ValueError(f"joint: {role} has no covariance of its own, or is missing")
+            for i, (one, other) in enumerate(zip(own, joint.block(role), strict=True)):
+                for j, (a, b) in enumerate(zip(one, other, strict=True)):
+                    if abs(a - b) > 1e-9 * math.sqrt(own[i][i] * own[j][j]) + 1e-30:
+                        raise ValueError(
+                            f"joint: its covariance of {role} is not the part's own, at [{i}][{j}]"
+                        )
+
+    def failed_gates(self) -> tuple[tuple[str, Gate], ...]:
+        """(part, gate) of every acceptance limit that was not met."""
+        return tuple((q.part, g) for q in self.quality or () for g in q.failed())
+
+    @property
+    def verdict(self) -> Verdict:
+        """``failed`` if any gate of any part did not pass; ``not judged`` if there is no gate."""
+        if self.failed_gates():
+            return "failed"
+        return "passed" if any(q.gates for q in self.quality or ()) else "not judged"
 
     def sha256(self) -> str:
         """Content digest (64 hex digits) of the whole document."""
@@ -220,7 +299,7 @@ class Calibration(Model):
         return f"c-{self.sha256()[:12]}"
 
     def parts(self) -> dict[str, Part]:
-        """Role -> part: ``intrinsics``, ``plane/<laser>``, ``axis``."""
+        """Role -> part: ``intrinsics``, ``plane/<laser>``, ``axis``; and ``joint`` if there is one."""
         out: dict[str, Part] = {}
         if self.camera is not None:
             out["intrinsics"] = self.camera
@@ -228,6 +307,8 @@ class Calibration(Model):
             out[f"plane/{plane.laser}"] = plane
         if self.turntable is not None:
             out["axis"] = self.turntable
+        if self.joint is not None:
+            out["joint"] = self.joint
         return out
 
     def part_ids(self) -> dict[str, str]:

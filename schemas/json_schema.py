@@ -25,6 +25,7 @@ from .events import (
     TurntableAngle,
 )
 from .manifests import ArchiveSettings, DerivationManifest, ScanSummary
+from .observations import Observations
 from .recipe import Recipe
 from .rig import Rig
 from .scene import SceneDocument
@@ -41,6 +42,7 @@ _NAMED: dict[str, Any] = {
     "exposure": Exposure,
     "laser-state": LaserState,
     "log-line": LogLine,
+    "observations": Observations,
     "paper-calibration": PaperCalibration,
     "recipe": Recipe,
     "reference-event": ReferenceEvent,

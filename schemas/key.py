@@ -52,15 +52,20 @@ def _chain(
     upstream: Sequence[str],
     part_ids: Mapping[str, str],
     lasers: Sequence[int],
-    calibration: str,
+    calibration: Calibration | None,
 ) -> tuple[str, dict[str, str]]:
     used: dict[str, str] = {}
     for stage in stages:
         parts = {}
-        for role in parts_used(stage, lasers):
+        roles = parts_used(stage, lasers)
+        if isinstance(stage, Triangulate) and "joint" in part_ids:
+            # The standard deviation of a range depends on the cross terms; old keys stay as they are.
+            roles = (*roles, "joint")
+        for role in roles:
             if role not in part_ids:
+                name = calibration.calibration_id() if calibration else "(none)"
                 raise CalibrationError(
-                    f"calibration {calibration} has no {role}, which the stage {stage.stage} needs",
+                    f"calibration {name} has no {role}, which the stage {stage.stage} needs",
                     hint="use a calibration that holds this part (turnscan calibration list)",
                 )
             parts[role] = part_ids[role]
@@ -71,31 +76,45 @@ def _chain(
 
 
 def stripes_key(
-    recipe: Recipe, *, content_sha256: str, calibration: Calibration | None, lasers: Sequence[int]
+    recipe: Recipe,
+    *,
+    content_sha256: str,
+    calibration: Calibration | None,
+    lasers: Sequence[int],
+    part_ids: Mapping[str, str] | None = None,
 ) -> tuple[str, dict[str, str]]:
     """Key of STRIPES of a scan, and role -> id of the parts that entered it.
 
-    ``calibration`` may be None when no stage before the table uses one.
+    ``calibration`` may be None when no stage before the table uses one. ``part_ids``, if given, are
+    those of ``calibration``: who makes the keys of many scans takes the digests of its parts but once.
     """
     return _chain(
         recipe.frame_stages(),
         input_sha256=content_sha256,
         upstream=(),
-        part_ids=calibration.part_ids() if calibration else {},
+        part_ids=(calibration.part_ids() if calibration else {}) if part_ids is None else part_ids,
         lasers=lasers,
-        calibration=calibration.calibration_id() if calibration else "(none)",
+        calibration=calibration,
     )
 
 
 def points_key(
-    recipe: Recipe, *, stripes: str, calibration: Calibration, lasers: Sequence[int]
+    recipe: Recipe,
+    *,
+    stripes: str,
+    calibration: Calibration,
+    lasers: Sequence[int],
+    part_ids: Mapping[str, str] | None = None,
 ) -> tuple[str, dict[str, str]]:
-    """Key of POINTS derived from the STRIPES with key ``stripes``, and the parts in it."""
+    """Key of POINTS derived from the STRIPES with key ``stripes``, and the parts in it.
+
+    ``part_ids`` as for :func:`stripes_key`.
+    """
     return _chain(
         recipe.point_stages(),
         input_sha256=None,
         upstream=(stripes,),
-        part_ids=calibration.part_ids(),
+        part_ids=calibration.part_ids() if part_ids is None else part_ids,
         lasers=lasers,
-        calibration=calibration.calibration_id(),
+        calibration=calibration,
     )

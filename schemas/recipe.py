@@ -141,6 +141,17 @@ class Triangulate(Model):
     max_radius_mm: Annotated[float, Field(gt=0)] | None = Field(
         default=None, description="largest distance from the turntable axis that is kept"
     )
+    sigma: Literal["random", "systematic"] | None = Field(
+        default=None,
+        description="share of the uncertainty in sigma_range_mm: random (the stripe centre), "
+        "systematic (the calibration), or total, which is the default and not written down",
+    )
+
+    @field_validator("sigma", mode="before")
+    @classmethod
+    def _default(cls, value: Any) -> Any:
+        # One meaning has one form, and so one key.
+        return None if value == "total" else value
 
 
 Stage = Annotated[Undistort | Grey | Denoise | Extract | Triangulate, Field(discriminator="stage")]

@@ -32,13 +32,14 @@ from . import layout
 from .bytes import LocalFolder
 from .calibrations import Calibrations, Dated, Effective
 from .catalog import Catalog, Row, put
+from .certifying import Certifying, Change, changes, consider, scans_of_rig
 from .derivations import publish, read_batches
 from .drafts import ScanDraft
 from .log_digest import LogFacts
 from .log_reader import ScanLog
 from .names import chain_of, scan_word
 from .opening import make_folder, nearest_archive, read_settings
-from .plan import Plan, keys_of, what_changed
+from .plan import KeyMaker, Keys, Plan, what_changed, why_stale
 from .projection import (
     derivation_row,
     event_row,
@@ -47,10 +48,14 @@ from .projection import (
     scan_row,
     synchronise,
 )
+from .timeline import Entry, timeline
 
 if TYPE_CHECKING:
     import polars as pl
     import pyarrow as pa
+
+#: Scans whose derivations are looked up in the catalogue at once.
+_PLANNED_TOGETHER = 256
 
 
 class Archive:
@@ -116,7 +121,7 @@ class Archive:
 
         def enter(c: sqlite3.Connection) -> None:
             put(c, "scans", scan_row(summary))
-            refold(c)
+            refold(c, summary.scan)
 
         self.catalog.enter(enter)
         return summary
@@ -178,7 +183,9 @@ class Archive:
 
         def enter(c: sqlite3.Connection) -> None:
             put(c, "events", event_row(event))
-            refold(c)
+            # What is certified is folded when it is asked for; other events are about one scan.
+            if isinstance(event, (Tagged, Retired, Restored)):
+                refold(c, event.scan)
 
         self.catalog.enter(enter)
         self._calibrations.forget()
@@ -215,6 +222,25 @@ class Archive:
         """Rows of the catalogue's calibrations, by id."""
         return self._calibrations.rows()
 
+    def would_certify(
+        self,
+        word: str | Calibration,
+        *,
+        rig: str | None = None,
+        from_ns: int | None = None,
+        to_ns: int | None = None,
+    ) -> Certifying:
+        """What :meth:`certify` would mean: objections, overlaps, scans that change."""
+        calibration = self.calibration(word) if isinstance(word, str) else word
+        return consider(
+            self.catalog,
+            self.certifications(),
+            calibration,
+            rig=rig or calibration.rig,
+            from_ns=from_ns,
+            to_ns=to_ns,
+        )
+
     def certify(
         self,
         word: str,
@@ -223,19 +249,47 @@ class Archive:
         from_ns: int | None = None,
         to_ns: int | None = None,
         note: str = "",
+        reason: str | None = None,
     ) -> Certified:
-        """State that a calibration holds for a rig (its own by default) over [from_ns, to_ns)."""
-        calibration = self.calibration(word)
+        """State that a calibration holds for a rig (its own by default) over [from_ns, to_ns).
+
+        An equal certification that holds already is returned as it stands. ``reason`` certifies in
+        spite of objections; both are kept in the event.
+
+        Raises
+        ------
+        CalibrationError
+            Something speaks against it (a failed acceptance limit, an unknown rig, scans with frames
+            of another size), and no ``reason`` is given. Nothing is written.
+        """
+        meant = self.would_certify(word, rig=rig, from_ns=from_ns, to_ns=to_ns)
+        if meant.standing is not None:
+            return meant.standing
+        name = meant.calibration.calibration_id()
+        meant.check(reason)
         event = self.record_event(
             Certified,
-            calibration=calibration.calibration_id(),
-            rig=rig or calibration.rig,
+            calibration=name,
+            rig=meant.rig,
             from_ns=from_ns,
             to_ns=to_ns,
             note=note,
+            objections=meant.objections or None,
+            reason=reason or None,
         )
         assert isinstance(event, Certified)
         return event
+
+    def would_withdraw(self, word: str, *, rig: str | None = None) -> tuple[Change, ...]:
+        """The scans whose effective calibration :meth:`withdraw` would change. Writes nothing."""
+        name = self.calibration(word).calibration_id()
+        gone = {e.id for e in self._calibrations.certified(name, rig)}
+        standing = self.certifications()
+        left = [e for e in standing if e.id not in gone]
+        out: list[Change] = []
+        for each in sorted({e.rig for e in standing if e.id in gone}):
+            out += changes(scans_of_rig(self.catalog, each), each, standing, left)
+        return tuple(out)
 
     def withdraw(self, word: str, *, rig: str | None = None, note: str = "") -> list[Withdrawn]:
         """Take back every standing certification of a calibration (for ``rig``, if given)."""
@@ -246,6 +300,10 @@ class Archive:
             assert isinstance(event, Withdrawn)
             out.append(event)
         return out
+
+    def timeline(self) -> dict[str, list[Entry]]:
+        """Rig -> its certifications and when each of them holds, withdrawn ones included."""
+        return timeline(self.events())
 
     def certifications(self) -> list[Certified]:
         """Certifications that stand, oldest first."""
@@ -270,39 +328,54 @@ class Archive:
         self, scans: Sequence[ScanSummary], recipe: Recipe, choice: str = "current"
     ) -> Iterator[Plan | TurnscanError]:
         """What ``recipe`` means for each scan, in order; an error where none can be made."""
-        for scan in scans:
-            try:
-                effective = self.effective(scan, choice)
-                keys = keys_of(scan, recipe, effective.calibration)
-            except TurnscanError as error:
-                yield error
-                continue
-            found = self._found(scan.scan, (keys.stripes, keys.points))
-            yield Plan(
-                scan=scan,
-                recipe=recipe,
-                calibration=effective.calibration,
-                why_calibration=effective.why,
-                stripes_key=keys.stripes,
-                stripes_parts=keys.stripes_parts,
-                points_key=keys.points,
-                points_parts=keys.points_parts,
-                stripes=found.get(keys.stripes),
-                points=found.get(keys.points),
-            )
+        maker = KeyMaker(recipe)
+        for start in range(0, len(scans), _PLANNED_TOGETHER):
+            some = scans[start : start + _PLANNED_TOGETHER]
+            wanted = [self._wanted(scan, maker, choice) for scan in some]
+            found = self._found([k for w in wanted if isinstance(w, tuple) for k in w[1].both])
+            for scan, want in zip(some, wanted, strict=True):
+                if isinstance(want, TurnscanError):
+                    yield want
+                    continue
+                effective, keys = want
+                yield Plan(
+                    scan=scan,
+                    recipe=recipe,
+                    calibration=effective.calibration,
+                    why_calibration=effective.why,
+                    stripes_key=keys.stripes,
+                    stripes_parts=keys.stripes_parts,
+                    points_key=keys.points,
+                    points_parts=keys.points_parts,
+                    stripes=found.get((scan.scan, keys.stripes)),
+                    points=found.get((scan.scan, keys.points)),
+                )
 
-    def _found(self, scan: str, keys: Sequence[str]) -> dict[str, DerivationManifest]:
+    def _wanted(
+        self, scan: ScanSummary, maker: KeyMaker, choice: str
+    ) -> tuple[Effective, Keys] | TurnscanError:
+        try:
+            effective = self.effective(scan, choice)
+            return effective, maker.keys(scan, effective.calibration)
+        except TurnscanError as error:
+            return error
+
+    def _found(self, keys: Sequence[str]) -> dict[tuple[str, str], DerivationManifest]:
+        """(scan, key) -> manifest of what exists of ``keys``, in one look into the catalogue."""
         marks = ", ".join("?" * len(keys))
         rows = self.catalog.rows(
-            f"SELECT key, path, bytes, document FROM derivations WHERE scan = ? AND key IN ({marks})",
-            (scan, *keys),
+            f"SELECT scan, key, path, document FROM derivations WHERE key IN ({marks})", keys
         )
         # A table that somebody deleted to win room is simply derived again.
         return {
-            r["key"]: DerivationManifest.model_validate_json(r["document"])
+            (r["scan"], r["key"]): DerivationManifest.model_validate_json(r["document"])
             for r in rows
             if self.store.head(r["path"]) is not None
         }
+
+    def why_stale(self, plan: Plan) -> str:
+        """In one line, which input differs from what was derived before; empty if nothing does."""
+        return "" if plan.done else why_stale(plan, self.derivations(plan.scan.scan))
 
     def why_missing(self, plan: Plan, kind: str) -> str:
         """In words, which input of ``kind`` differs from what was derived before."""

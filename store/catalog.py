@@ -33,8 +33,8 @@ CREATE TABLE scans (
 CREATE INDEX scans_by_frames ON scans (frames_sha256);
 CREATE INDEX scans_by_continues ON scans (continues) WHERE continues IS NOT NULL;
 CREATE TABLE calibrations (
-    calibration TEXT PRIMARY KEY, rig TEXT NOT NULL, note TEXT NOT NULL, sha256 TEXT NOT NULL,
-    document TEXT NOT NULL);
+    calibration TEXT PRIMARY KEY, rig TEXT NOT NULL, note TEXT NOT NULL, verdict TEXT NOT NULL,
+    sha256 TEXT NOT NULL, document TEXT NOT NULL);
 CREATE TABLE calibration_parts (
     calibration TEXT NOT NULL, role TEXT NOT NULL, part TEXT NOT NULL,
     PRIMARY KEY (calibration, role));
@@ -96,12 +96,25 @@ class Catalog:
             There is no catalogue that this program can use.
         """
         try:
+            if self._journal.exists():
+                self._roll_back()
             with closing(sqlite3.connect(f"{self.path.as_uri()}?mode=ro", uri=True, timeout=30)) as c:
                 c.row_factory = sqlite3.Row
                 self._check_version(c)
                 yield c
         except sqlite3.DatabaseError as error:
             raise self._broken(error) from error
+
+    @property
+    def _journal(self) -> Path:
+        return self.path.with_name(f"{self.path.name}-journal")
+
+    def _roll_back(self) -> None:
+        """Undo what a writer that was killed left half-done; a reader that only reads could not."""
+        if not self.path.exists():
+            return
+        with closing(sqlite3.connect(f"{self.path.as_uri()}?mode=rw", uri=True, timeout=30)) as c:
+            c.execute("SELECT count(*) FROM sqlite_master").fetchone()
 
     @contextmanager
     def writing(self) -> Iterator[sqlite3.Connection]:
@@ -142,6 +155,9 @@ class Catalog:
                 with self._transaction(aside) as c:
                     create_tables(c)
                     yield c
+                # Nobody writes now, so a journal is that of a writer that was killed: SQLite would
+                # roll it back into the new file.
+                self._journal.unlink(missing_ok=True)
                 aside.replace(self.path)
         except sqlite3.DatabaseError as error:
             raise self._broken(error) from error

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 ROW_GROUP_ROWS = 262_144
 
 
-def made_with() -> dict[str, str]:
+@cache
+def made_with() -> Mapping[str, str]:
     """Versions and machine, recorded in a manifest but no part of any key."""
     from importlib.metadata import version
 
@@ -166,7 +168,7 @@ def publish(
             sha256=sha256,
             created_ns=time.time_ns(),
             duration_s=round(time.monotonic() - began, 3),
-            made_with=made_with(),
+            made_with=dict(made_with()),
         ).sealed()
         with store.holding(alone=False):
             return _put(store, manifest, manifest_path, aside)

@@ -5,7 +5,6 @@ Pure look-ups in the catalogue and the keys: no log and no table is opened.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,19 +50,40 @@ class Keys:
     points: str
     points_parts: dict[str, str]
 
+    @property
+    def both(self) -> tuple[str, str]:
+        """The key of STRIPES and the key of POINTS."""
+        return self.stripes, self.points
 
-def keys_of(scan: ScanSummary, recipe: Recipe, calibration: Calibration) -> Keys:
-    """The keys of ``recipe`` on ``scan`` with ``calibration``."""
-    stripes, stripes_parts = stripes_key(
-        recipe,
-        content_sha256=scan.content_sha256,
-        calibration=calibration,
-        lasers=scan.lasers,
-    )
-    points, points_parts = points_key(
-        recipe, stripes=stripes, calibration=calibration, lasers=scan.lasers
-    )
-    return Keys(stripes, stripes_parts, points, points_parts)
+
+class KeyMaker:
+    """The keys of one recipe on many scans; the digests of a calibration's parts are taken once."""
+
+    def __init__(self, recipe: Recipe) -> None:
+        self._recipe = recipe
+        # The calibration is held beside its ids: an object that is gone may leave its id() to another.
+        self._part_ids: dict[int, tuple[Calibration, dict[str, str]]] = {}
+
+    def keys(self, scan: ScanSummary, calibration: Calibration) -> Keys:
+        """The keys of the recipe on ``scan`` with ``calibration``."""
+        if id(calibration) not in self._part_ids:
+            self._part_ids[id(calibration)] = (calibration, calibration.part_ids())
+        _, part_ids = self._part_ids[id(calibration)]
+        stripes, stripes_parts = stripes_key(
+            self._recipe,
+            content_sha256=scan.content_sha256,
+            calibration=calibration,
+            lasers=scan.lasers,
+            part_ids=part_ids,
+        )
+        points, points_parts = points_key(
+            self._recipe,
+            stripes=stripes,
+            calibration=calibration,
+            lasers=scan.lasers,
+            part_ids=part_ids,
+        )
+        return Keys(stripes, stripes_parts, points, points_parts)
 
 
 def stage_records(stages: Any) -> tuple[dict[str, Any], ...]:
@@ -72,17 +92,36 @@ def stage_records(stages: Any) -> tuple[dict[str, Any], ...]:
 
 
 def what_changed(plan: Plan, kind: str, earlier: list[DerivationManifest]) -> str:
-    """In words: which input differs from the nearest earlier derivation of this scan."""
+    """In one line: which input differs from the nearest earlier derivation of this scan."""
+    return ", ".join(_changes(plan, kind, earlier))
+
+
+def why_stale(plan: Plan, earlier: list[DerivationManifest]) -> str:
+    """In one line, why the scan is stale; empty if it is not."""
+    reasons: list[str] = []
+    for kind in plan.missing:
+        found = _changes(plan, kind, earlier)
+        # That stripes changed says nothing more where they are to be derived, too.
+        news = [r for r in found if r != _NEW_STRIPES or plan.stripes is not None]
+        reasons += [r for r in news if r not in reasons]
+    return ", ".join(reasons)
+
+
+_NEW_STRIPES = "its stripes changed"
+
+
+def _changes(plan: Plan, kind: str, earlier: list[DerivationManifest]) -> list[str]:
     mine = [m for m in earlier if m.kind == kind]
     if not mine:
-        return "never derived"
+        return ["never derived"]
     same_recipe = [m for m in mine if m.recipe == plan.recipe.recipe_id()]
     if not same_recipe:
         names = sorted({str(m.recipe_document.get("name", m.recipe)) for m in mine})
         known = ", ".join(names)
-        return f"recipe {plan.recipe.name} ({plan.recipe.recipe_id()}) is new here, known: {known}"
+        new = f"{plan.recipe.name} ({plan.recipe.recipe_id()})"
+        return [f"recipe changed: {new} is new here, known: {known}"]
     newest = max(same_recipe, key=lambda m: m.created_ns)
-    return ", ".join(_differences(plan, kind, newest)) or "an input changed"
+    return _differences(plan, kind, newest) or ["derived before, but its table is gone"]
 
 
 def _differences(plan: Plan, kind: str, old: DerivationManifest) -> list[str]:
@@ -90,19 +129,18 @@ def _differences(plan: Plan, kind: str, old: DerivationManifest) -> list[str]:
     if old.content_sha256 != plan.scan.content_sha256:
         out.append("the content of the scan changed")
     parts = plan.stripes_parts if kind == "stripes" else plan.points_parts
-    out += _parts(old.parts, parts)
+    changed = [r for r in sorted({*old.parts, *parts}) if old.parts.get(r) != parts.get(r)]
+    if changed:
+        then = f"{old.calibration} to " if old.calibration else ""
+        names = f"{then}{plan.calibration.calibration_id()}"
+        out.append(f"calibration changed: {', '.join(changed)} ({names})")
     stages = plan.recipe.frame_stages() if kind == "stripes" else plan.recipe.point_stages()
-    for now, then in zip(stage_records(stages), old.stages, strict=False):
-        if now["version"] != then["version"]:
-            out.append(f"stage {now['stage']} went from version {then['version']} to {now['version']}")
+    for now, before in zip(stage_records(stages), old.stages, strict=False):
+        if now["version"] != before["version"]:
+            out.append(
+                f"software changed: stage {now['stage']} from version {before['version']} to "
+                f"{now['version']}"
+            )
     if kind == "points" and old.upstream != (plan.stripes_key,):
-        out.append("its stripes changed")
+        out.append(_NEW_STRIPES)
     return out
-
-
-def _parts(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
-    return [
-        f"{role} changed from {old.get(role, 'none')[:12]} to {new.get(role, 'none')[:12]}"
-        for role in sorted({*old, *new})
-        if old.get(role) != new.get(role)
-    ]

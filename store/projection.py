@@ -126,6 +126,7 @@ def put_calibration(c: sqlite3.Connection, document: Calibration) -> None:
         "calibration": name,
         "rig": document.rig,
         "note": document.note,
+        "verdict": document.verdict,
         "sha256": document.sha256(),
         "document": _text(document),
     }
@@ -134,21 +135,29 @@ def put_calibration(c: sqlite3.Connection, document: Calibration) -> None:
         put(c, "calibration_parts", {"calibration": name, "role": role, "part": part})
 
 
-def refold(c: sqlite3.Connection) -> None:
-    """Set label, tags and retired of every scan from its summary and the events."""
+def refold(c: sqlite3.Connection, scan: str | None = None) -> None:
+    """Set label, tags and retired of every scan, or of one, from its summary and the events.
+
+    With one scan, nothing is looked at but that scan: an archive of thousands grows no slower.
+    """
+    if (
+        scan is not None
+        and not c.execute("SELECT 1 FROM events WHERE instr(document, ?) LIMIT 1", (scan,)).fetchone()
+    ):
+        return  # Its row was written from its summary, and no event says anything else.
     events = [
         parse_archive_event(r["document"].encode(), where=f"event {r['event']}")
         for r in c.execute("SELECT event, document FROM events")
     ]
     recorded: dict[str, tuple[str, dict[str, str]]] = {}
-    for r in c.execute("SELECT scan, document FROM scans"):
+    for r in c.execute("SELECT scan, document FROM scans WHERE ? IN ('', scan)", (scan or "",)):
         value: dict[str, Any] = parse_json(r["document"], where=r["scan"])
         recorded[r["scan"]] = (value.get("label", ""), value.get("tags", {}))
-    for scan, state in scan_states(events, recorded).items():
+    for name, state in scan_states(events, recorded).items():
         tags = json.dumps(state.tags, sort_keys=True, ensure_ascii=False)
         c.execute(
             "UPDATE scans SET label = ?, tags = ?, retired = ? WHERE scan = ?",
-            (state.label, tags, int(state.retired), scan),
+            (state.label, tags, int(state.retired), name),
         )
 
 

@@ -31,7 +31,8 @@ _CATALOG = {
     "scans": "SELECT scan, rig, label, tags, retired, source, started_ns, ended_ns, ended, frames, "
     "background_frames, lasers, width_px, height_px, encoding, angle_min_rad, angle_max_rad, "
     "calibration, content_sha256, frames_sha256, log_bytes, continues FROM scans ORDER BY scan",
-    "calibrations": "SELECT calibration, rig, note, sha256, document FROM calibrations ORDER BY 1",
+    "calibrations": "SELECT calibration, rig, note, verdict, sha256, document "
+    "FROM calibrations ORDER BY calibration",
     "events": "SELECT event, kind, t_ns, document FROM events ORDER BY event",
     "references": "SELECT event, t_ns, document FROM events WHERE kind = 'referenced' ORDER BY event",
     "derivations": "SELECT key, kind, scan, recipe, recipe_name, calibration, rows, bytes, sha256, "

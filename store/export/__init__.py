@@ -46,7 +46,8 @@ class Viewpoint:
 class ExportInfo:
     """What an exported file says of itself.
 
-    ``rows`` is the number of points that will come. ``viewpoints``, one a scan, make the triangles of
+    ``calibrations`` and ``keys`` are one a scan, in the order of ``scans``. ``rows`` is the number of
+    points that will come. ``viewpoints``, one a scan, make the triangles of
     a mesh face the scanner; without them they follow the order of frames.
     """
 
@@ -64,9 +65,21 @@ class ExportInfo:
             self.software,
             *(f"scan {s}" for s in self.scans),
             f"recipe {self.recipe}",
-            *(f"calibration {c}" for c in self.calibrations),
+            *(f"calibration {c}" for c in dict.fromkeys(self.calibrations)),
             *(f"key {k}" for k in self.keys),
+            *(self._origins() if len(self.scans) > 1 else ()),
         ]
+
+    def _origins(self) -> list[str]:
+        """Which calibration and key belong to which of several scans."""
+        of_each = zip(self.scans, self.calibrations, self.keys, strict=True)
+        return [f"{s} was made with calibration {c}, key {k}" for s, c, k in of_each]
+
+    def short(self) -> str:
+        """The same in one line of ASCII for small headers; of several scans the first, and how many."""
+        more = f" +{len(self.scans) - 1}" if len(self.scans) > 1 else ""
+        text = f"turnscan; {self.recipe}; {self.calibrations[0]}; k-{self.keys[0][:12]}{more}"
+        return text.encode("ascii", "backslashreplace").decode()
 
 
 @dataclass(frozen=True)

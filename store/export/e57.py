@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pye57
+from pye57 import libe57
 from pye57.libe57 import E57Exception
 
 from . import ExportInfo
@@ -28,6 +29,10 @@ def write(batches: Iterable[pa.RecordBatch], out: Path, info: ExportInfo, suffix
     file = None
     try:
         file = pye57.E57(str(out), mode="w")
+        # The standard's way to add what it has no name for: an element under a namespace of our own.
+        file.image_file.extensionsAdd("turnscan", "urn:turnscan:export")
+        text = "\n".join(info.lines())
+        file.root.set("turnscan:export", libe57.StringNode(file.image_file, text))
         held: list[pa.RecordBatch] = []
         index = 0
         for batch in batches:

@@ -50,8 +50,13 @@ def write(batches: Iterable[pa.RecordBatch], out: Path, info: ExportInfo, suffix
         points = points[:, [0, 2, 1]] * np.array([1.0, 1.0, -1.0]) / 1000.0
     mesh = trimesh.Trimesh(points, faces, process=False)
     mesh.metadata["turnscan"] = "; ".join(info.lines())
-    data: Any = mesh.export(file_type=suffix[1:])
-    out.write_bytes(data if isinstance(data, bytes) else data.encode())
+    header = {"header": "\n# ".join(info.lines())} if suffix == ".obj" else {}
+    data: Any = mesh.export(file_type=suffix[1:], **header)
+    data = data if isinstance(data, bytes) else data.encode("ascii", "backslashreplace")
+    if suffix == ".stl":
+        # Binary STL begins with 80 bytes that are free, but must not read "solid".
+        data = info.short().encode()[:80].ljust(80) + data[80:]
+    out.write_bytes(data)
 
 
 def sweep_faces(

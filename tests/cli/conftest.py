@@ -10,8 +10,10 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
-# console.py stands here; real.py, with the numbers of the real scan, beside the tests of process.
-sys.path[:0] = [str(HERE), str(HERE.parent / "process")]
+# console.py stands here; real.py, with the numbers of the real scan, beside the tests of process, and
+# simulated_rig.py beside those of calibration.
+PROCESS = HERE.parent / "process"
+sys.path[:0] = [str(HERE), str(PROCESS), str(PROCESS / "calibrate")]
 
 from console import Console, Inside, write_frames, write_json  # noqa: E402
 from real import SRV, srv_angle_deg  # noqa: E402

@@ -109,9 +109,11 @@ def test_a_calibration_of_another_size_is_refused(lab: Inside, photos: Path, tin
     said = lab.fails("import", "images", photos, "--step-deg", "5", "--calibration", path)
     assert "is 64 x 48" in said
     assert "is for 640 x 480" in said
-    # Certified later, it is refused when processing; what was derived before stands.
+    # Certified later it is refused, and if that is forced, when processing; what was derived stands.
     before = every_file(archive_of(lab) / "derived")
-    lab("calibration", "add", path, "--certify")
+    said = lab.fails("calibration", "add", path, "--certify")
+    assert "with 64 x 48; it is for 640 x 480" in said
+    lab("calibration", "add", path, "--certify", "--force", "--reason", "new scans will be larger")
     said = lab.fails("process", "--recipe", "paper")
     assert "640 x 480" in said
     assert every_file(archive_of(lab) / "derived") == before

@@ -328,4 +328,4 @@ def test_an_interrupted_process_leaves_nothing_half_done(console: Console, tiny_
     assert every_file(archive / "scans") == before
     inside = Inside(console.cwd, archive)
     assert inside.json("verify") == []
-    assert [r["table"] for r in inside.json("status")] == ["stripes", "points"]
+    assert [r["table"] for r in inside.json("status")] == ["stripes and points"]

@@ -94,11 +94,11 @@ def test_a_moved_laser_plane_redoes_the_points_alone(copied: Console) -> None:
 
     (stale,) = copied.json("status")
     assert stale["table"] == "points"
-    assert stale["why"].startswith("plane/0 changed from ")
+    assert stale["why"] == f"calibration changed: plane/0 ({SRV.calibration_id()} to {added})"
     assert inside.run("status", "--check").returncode == 1
     planned = inside("process", "--dry-run")
     assert "would derive 1 of 2 tables" in planned.stderr
-    assert "plane/0 changed" in planned.stdout
+    assert "calibration changed: plane/0" in planned.stdout
     assert every_file(copied.archive / "derived" / "stripes") == stripes
     # The plan was no deed, and the old points are found where they are asked for.
     (old,) = inside.json("process", "--calibration", "recorded")

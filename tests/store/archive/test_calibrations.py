@@ -41,7 +41,7 @@ def test_the_effective_calibration(lab: Archive) -> None:
     assert lab.effective(scan).calibration.calibration_id() == a
     lab.certify(b, from_ns=start + 1)
     lab.certify(b, to_ns=start)
-    lab.certify(b, rig="another")
+    lab.certify(b, rig="another", reason="its scans come tomorrow")
     assert lab.effective(scan).calibration.calibration_id() == a, "none of b's ranges covers it"
     lab.certify(b, from_ns=start, to_ns=start + 1)
     assert lab.effective(scan).calibration.calibration_id() == b

@@ -82,3 +82,33 @@ def test_points_are_not_left_out_silently_when_something_is_wrong(lab: Archive) 
     next((lab.root / "calibrations").iterdir()).unlink()
     with pytest.raises(DamageError, match="the file is missing"):
         Archive.open(lab.root).points()
+
+
+_KILLED = """
+import os, sqlite3, sys
+c = sqlite3.connect(sys.argv[1], isolation_level=None)
+c.execute("PRAGMA cache_size = 1")  # so that pages go to the file before the end of the transaction
+c.execute("BEGIN IMMEDIATE")
+c.execute("UPDATE scans SET label = 'half-done'")
+c.executemany("INSERT INTO events VALUES (?, 'k', 0, ?)", [(f"x{i}", "d" * 900) for i in range(400)])
+os._exit(9)
+"""
+
+
+@pytest.mark.parametrize("then", ["read", "write", "remake"])
+def test_a_writer_that_was_killed_leaves_nothing_half_done(lab: Archive, then: str) -> None:
+    before = lab.catalog.dump()
+    path = lab.root / "catalog.sqlite"
+    subprocess.run([sys.executable, "-c", _KILLED, str(path)], check=False)
+    assert (lab.root / "catalog.sqlite-journal").stat().st_size > 0
+    if then == "write":
+        lab.tag("latest", {"a": "b"})
+        lab.tag("latest", {"a": ""})
+        events = {e["event"] for e in before["events"]}
+        assert len(lab.catalog.rows("SELECT event FROM events")) == len(events) + 2
+        return
+    if then == "remake":
+        lab.rebuild_catalog()
+    assert lab.catalog.dump() == before
+    assert not (lab.root / "catalog.sqlite-journal").exists()
+    assert Archive.open(lab.root).catalog.dump() == before

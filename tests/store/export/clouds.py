@@ -54,7 +54,12 @@ def cloud(rows: int, scan: int = 0, seed: int = 3) -> pa.RecordBatch:
 def info(batches: Sequence[pa.RecordBatch], **more: Any) -> ExportInfo:
     rows = sum(b.num_rows for b in batches)
     return ExportInfo(
-        SCANS, "default (r-0123456789ab)", ["c-1"], ["k-1"], "turnscan 0", **{"rows": rows, **more}
+        SCANS,
+        "default (r-0123456789ab)",
+        ["c-1", "c-2"],
+        ["a" * 64, "b" * 64],
+        "turnscan 0",
+        **{"rows": rows, **more},
     )
 
 

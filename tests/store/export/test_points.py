@@ -47,7 +47,12 @@ def test_ply_keeps_every_bit(tmp_path: Path, two: list[pa.RecordBatch]) -> None:
     check_packed(found, two)
     text = "\n".join(comments)
     assert [c for c in comments if c.startswith("scan ")] == [f"scan {s}" for s in SCANS]
-    for words in ("recipe default (r-0123456789ab)", "calibration c-1", "key k-1", "x [mm]: scene x"):
+    for words in (
+        "recipe default (r-0123456789ab)",
+        "calibration c-1",
+        "key " + "a" * 64,
+        "x [mm]: scene x",
+    ):
         assert words in text
     assert "angle_rad [rad]" in text
 
@@ -74,7 +79,11 @@ def test_csv_reads_back_to_the_same_floats(tmp_path: Path, two: list[pa.RecordBa
     export_points(two, out, info(two))
     with out.open(newline="") as file:
         head, *rows = csv.reader(file)
-    assert head == ["scan", *(c.name for c in POINTS.columns)]
+    assert head == ["scan", *(c.name for c in POINTS.columns), "recipe", "calibration", "key"]
+    assert {(r[0], *r[-3:]) for r in rows} == {
+        (SCANS[0], "default (r-0123456789ab)", "c-1", "k-" + "a" * 12),
+        (SCANS[1], "default (r-0123456789ab)", "c-2", "k-" + "b" * 12),
+    }
     assert [r[0] for r in rows] == [SCANS[i] for i in column(two, "scan_index")]
     for at, c in enumerate(POINTS.columns, start=1):
         kind = np.dtype(c.type)
