@@ -17,8 +17,7 @@ import numpy.typing as npt
 
 from ...schemas.calibration import Intrinsics
 from ..camera import undistort_points
-from ..extract import extract_stripe
-from ..extract import noise_of
+from ..extract import extract_stripe, noise_of
 
 Floats = npt.NDArray[np.float64]
 

@@ -1,8 +1,8 @@
 """Least-squares fit of one row, sample by sample: for rows that are clipped, struck, cut or very wide.
 
-The model is a Gaussian on a straight background. Clipped samples say nothing and are left out: the flanks
-give the centre. A median of three rows, along the stripe, only starts the fit and tells outliers; the
-fit itself takes the row's own samples, so that nothing is smoothed across a depth edge.
+The model is a Gaussian on a straight background. Clipped samples say nothing and are left out: the
+flanks give the centre. A median of three rows, along the stripe, only starts the fit and tells
+outliers; the fit itself takes the row's own samples, so that nothing is smoothed across a depth edge.
 """
 
 from __future__ import annotations
@@ -15,20 +15,41 @@ import numpy.typing as npt
 
 from ...schemas.tables import Flag
 from ..compiled import kernel
+from .start import SIDE, background_of, goes_on, profile_of, start_of
 
 Floats = npt.NDArray[np.float64]
 
-_SATURATED, _EDGE, _GATED = int(Flag.SATURATED), int(Flag.EDGE), int(Flag.GATED)
-#: Samples of the background on either side.
-_SIDE = 9
+_SATURATED, _EDGE, _SECOND, _GATED = (
+    int(Flag.SATURATED),
+    int(Flag.EDGE),
+    int(Flag.SECOND),
+    int(Flag.GATED),
+)
 _STEPS = 12
+#: In so many steps the gate is set anew.
+_SETTLING = 3
 #: Samples farther off the model than this many standard deviations are left out.
 _GATE = 4.5
-_FWHM = 2.0 * math.sqrt(2.0 * math.log(2.0))
+#: In the first step, the samples' distance may be due to a centre and a width that are this far off, in
+#: px.
+_SLACK = 0.2
+#: More than this share of outliers makes a second start worth its time.
+_DOUBTFUL = 0.12
+#: A sample that is off by this share of the height is unlike a Gaussian; so many, and this is no
+#: stripe.
+_UNLIKE, _MOST_UNLIKE = 0.15, 0.35
+#: Share of the height that is there at the centre.
+_FILLED = 0.75
+#: What is seen of a stripe, over the noise of a matched filter: less is found in noise alone now and
+#: then.
+CERTAIN = 7.0
+#: How far from the centre a second stripe is looked for, in px.
+_NEAR = 24
 #: Narrowest stripe that is one, as a standard deviation: less is a single pixel.
 _NARROWEST = 0.3
 
 _Row = tuple[bool, float, float, float, float, float, int]
+_Model = tuple[float, float, float, float, float]
 
 
 @kernel
@@ -38,237 +59,262 @@ def fit_row(
     row: int,
     peak: int,
     span: tuple[int, int],
-    base_dn: float,
-    max_width_px: float,
-    noise: float,
+    limits: tuple[float, float, float, float],
     clip_dn: float,
 ) -> _Row:
     """(good, centre, its deviation, width, height, background, flags) of the stripe near ``peak``.
 
-    ``span`` is the half-open range of columns that may be used. ``good`` is False where no stripe can be
+    ``span`` is the half-open range of columns that may be used, ``limits`` are base_dn, max_width_px,
+    the noise under the stripe and that of the frame. ``good`` is False where no stripe can be
     fitted: too few samples, too faint, centre away from the peak or not better known than the
     stripe is wide.
     """
     from_px, to_px = span
-    bad = (False, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
-    reach = int(math.ceil(2.0 * max_width_px)) + _SIDE
-    low, high = max(from_px, peak - reach), min(to_px, peak + reach + 1)
-    profile = _profile(signal, row, low, high, peak)
+    _, max_width_px, _, plain = limits
+    reach = int(math.ceil(2.0 * max_width_px)) + SIDE
+    best = _fit_within(signal, raw, row, peak, span, reach, limits, clip_dn)
+    if best[0] and 3.5 * best[3] > reach:
+        # So wide that no background was seen: once more, from afar.
+        best = _fit_within(signal, raw, row, peak, span, 2 * reach, limits, clip_dn)
+    good, centre, sigma, width, height, base, flags = best
+    if not good:
+        return best
+    if centre - 2.5 * width < from_px or centre + 2.5 * width > to_px - 1:
+        flags |= _EDGE
+    if second_near(signal[row], centre, height, base, plain, from_px, to_px):
+        flags |= _SECOND
+    return True, centre, sigma, width, height, base, flags
+
+
+@kernel
+def _fit_within(
+    signal: npt.NDArray[Any],
+    raw: npt.NDArray[Any],
+    row: int,
+    peak: int,
+    span: tuple[int, int],
+    reach: int,
+    limits: tuple[float, float, float, float],
+    clip_dn: float,
+) -> _Row:
+    """The fit to the samples up to ``reach`` from the peak; arguments as in :func:`fit_row`."""
+    low, high = max(span[0], peak - reach), min(span[1], peak + reach + 1)
     samples, cut = np.empty(high - low, np.float64), np.empty(high - low, np.bool_)
     for j in range(high - low):
         samples[j] = float(signal[row, low + j])
         cut[j] = float(raw[row, low + j]) >= clip_dn
+    along = goes_on(signal, row, low, high, peak)
+    profile = profile_of(signal, row, low, high, along)
+    best, cost, strange = _attempt(samples, cut, profile, low, peak, limits)
+    if not best[0] or strange > _DOUBTFUL:
+        # The rows above and below may show something else after all, or better: once more the other way.
+        profile = profile_of(signal, row, low, high, not along)
+        other, its_cost, _ = _attempt(samples, cut, profile, low, peak, limits)
+        if other[0] and (not best[0] or its_cost < cost):
+            best = other
+    return best
+
+
+@kernel
+def _attempt(
+    samples: Floats,
+    cut: npt.NDArray[np.bool_],
+    profile: Floats,
+    low: int,
+    peak: int,
+    limits: tuple[float, float, float, float],
+) -> tuple[_Row, float, float]:
+    """The fit that ``profile`` starts; its mean square remainder, each up to a gate; share of outliers.
+
+    ``low`` is the column of sample 0, ``limits`` are those of :func:`fit_row`.
+    """
+    base_dn, max_width_px, noise, plain = limits
+    bad = ((False, 0.0, 0.0, 0.0, 0.0, 0.0, 0), np.inf, 1.0)
+    high = low + len(samples)
     top = peak - low
     for j in range(max(0, top - 2), min(len(profile), top + 3)):
         if profile[j] > profile[top]:
             top = j
-    ok, centre, width, height, base = _start(profile, cut, low, top, max_width_px)
+    ok, centre, width, height, base = start_of(profile, cut, low, top, max_width_px)
     if not ok or height < 0.5 * base_dn:
         return bad
-    base, tilt = _background(profile, centre - low, width, noise, height)
+    base, tilt = background_of(profile, centre - low, width, noise, height)
     half = 3.5 * width + 4.0
     first = max(low, int(math.floor(centre - half)))
     stop = min(high, int(math.ceil(centre + half)) + 1)
     rests = np.empty(stop - first, np.float64)
-    sigma, flags = 0.0, 0
-    # First the profile, in which hardly an outlier is left, then the samples themselves.
-    for stage in range(2):
-        for step in range(_STEPS):
-            gate = np.inf
-            if stage == 1:
-                model = (centre - low, width, height, base, tilt)
-                gate = _GATE * max(noise, _scatter(samples, cut, first - low, model, rests))
-            height, moved, width, sigma, flags = _improve(
-                samples if stage == 1 else profile,
-                cut,
-                first - low,
-                stop - low,
-                (centre - low, width, height, base, tilt),
-                noise,
-                gate,
-            )
-            if flags < 0 or not (_NARROWEST <= width <= max_width_px):
-                return bad
-            centre += moved
-            if not low - 0.5 <= centre <= high - 0.5:
-                return bad
-            if abs(moved) < 0.01 * sigma + 1e-4 and step >= stage:
-                break
+    begin = (centre - low, width, height, base, tilt)
+    model, sigma, gate, flags = _descend(samples, cut, profile, first - low, begin, noise, rests)
+    centre, width, height, base, tilt = model
+    centre += low
+    if flags < 0 or not _NARROWEST <= width <= max_width_px or not low - 0.5 <= centre <= high - 0.5:
+        return bad
     if abs(centre - peak) > 2.5 + 1.5 * width and not flags & _SATURATED:
         return bad
-    if height < base_dn or not sigma < max(0.5 * width, 0.5):
+    if height < base_dn or not sigma < max(0.2 * width, 0.5):
         return bad
-    if centre - 2.5 * width < from_px or centre + 2.5 * width > to_px - 1:
-        flags |= _EDGE
-    return True, centre, sigma, width, height, base + tilt * (centre - low), flags
+    if not flags & _SATURATED and not _filled(samples, model, plain):
+        return bad
+    cost, outliers, seen = _judge(rests, first - low, model, noise, plain, gate)
+    if not seen:
+        return bad
+    found = (True, centre, sigma, width, height, base + tilt * (centre - low), flags)
+    return found, cost, outliers
 
 
 @kernel
-def _scatter(
+def _descend(
+    samples: Floats,
+    cut: npt.NDArray[np.bool_],
+    profile: Floats,
+    first: int,
+    begin: _Model,
+    noise: float,
+    rests: Floats,
+) -> tuple[_Model, float, float, int]:
+    """Gauss-Newton steps to the end: the model, the centre's deviation, the gate, and flags or -1.
+
+    A model is (centre, width, height, background, its slope), places counted from sample 0. ``rests``
+    is filled with the distances of the samples from ``first`` on.
+    """
+    centre, width, height, base, tilt = begin
+    stop = first + len(rests)
+    sigma, gate, flags = 0.0, np.inf, 0
+    # First the profile, in which hardly an outlier is left, then the samples themselves.
+    for stage in range(2):
+        for step in range(_STEPS):
+            if stage == 1 and step < _SETTLING:
+                _distances(samples, cut, first, (centre, width, height, base, tilt), rests)
+                gate = _GATE * max(noise, _scatter(rests))
+            height, moved, width, sigma, flags = _improve(
+                samples if stage == 1 else profile,
+                cut,
+                (first, stop),
+                (centre, width, height, base, tilt),
+                noise,
+                gate,
+                _SLACK if step == 0 else 0.0,
+            )
+            centre += moved
+            if flags < 0 or width < _NARROWEST or not -0.5 <= centre <= len(samples) - 0.5:
+                return begin, 0.0, gate, -1
+            if abs(moved) < 0.02 * sigma + 1e-4 and step >= stage:
+                break
+    model = (centre, width, height, base, tilt)
+    _distances(samples, cut, first, model, rests)
+    return model, sigma, gate, flags
+
+
+@kernel
+def _filled(samples: Floats, model: _Model, noise: float) -> bool:
+    """Whether the centre is bright: of two stripes taken together it lies where neither is."""
+    centre, _, height, base, tilt = model
+    middle, summit = round(centre), -np.inf
+    for j in range(max(0, middle - 1), min(len(samples), middle + 2)):
+        summit = max(summit, samples[j] - base - tilt * j)
+    return summit >= _FILLED * height - 2.0 * noise
+
+
+@kernel
+def _judge(
+    rests: Floats, first: int, model: _Model, noise: float, plain: float, gate: float
+) -> tuple[float, float, bool]:
+    """Mean square distance, each up to a gate; share of outliers; whether a stripe is seen at all."""
+    centre, width, height, _, _ = model
+    cost, energy, n, unlike, outliers = 0.0, 0.0, 0, 0, 0
+    for j in range(len(rests)):
+        rest = rests[j]
+        if rest >= 0.0:
+            cost += min(rest * rest, _GATE * _GATE * noise * noise)
+            n += 1
+            unlike += rest > _UNLIKE * height + 3.0 * noise
+            if rest > gate:
+                outliers += 1
+            else:
+                t = (first + j - centre) / width
+                energy += (height * math.exp(-0.5 * t * t)) ** 2
+    seen = n > 0 and unlike <= _MOST_UNLIKE * n and energy >= (CERTAIN * plain) ** 2
+    return cost / max(n, 1), outliers / max(n, 1), seen
+
+
+@kernel
+def second_near(
+    line: npt.NDArray[Any],
+    centre: float,
+    height: float,
+    base: float,
+    noise: float,
+    from_px: int,
+    to_px: int,
+) -> bool:
+    """Whether a second stripe stands so near to the first that the search takes it for a part of it.
+
+    Outwards from the centre the samples fall, and must not rise again. They are taken in pairs: the
+    lesser of the two to rise, the greater to fall, so that single hot or dark pixels do nothing.
+    """
+    rise, level = max(0.25 * height, 5.0 * noise), base + 0.4 * height
+    for side in (-1, 1):
+        at = int(round(centre)) - side
+        valley = np.inf
+        for _ in range(_NEAR):
+            at += side
+            if not from_px + 1 <= at < to_px - 1:
+                break
+            one, other = float(line[at]), float(line[at + side])
+            valley = min(valley, max(one, other))
+            lesser = min(one, other)
+            if lesser - valley > rise and lesser > level:
+                return True
+    return False
+
+
+@kernel
+def _distances(
     samples: Floats,
     cut: npt.NDArray[np.bool_],
     first: int,
     model: tuple[float, float, float, float, float],
     rests: Floats,
-) -> float:
-    """Robust deviation of the samples from the model: 1.48 times their median distance."""
+) -> None:
+    """Fill ``rests`` with the distances from the model, from sample ``first`` on; -1 for clipped."""
     centre, width, height, base, tilt = model
-    n = 0
-    for j in range(first, first + len(rests)):
-        if not cut[j]:
-            t = (j - centre) / width
-            rests[n] = abs(samples[j] - base - tilt * j - height * math.exp(-0.5 * t * t))
-            n += 1
-    if n < 3:
+    for i in range(len(rests)):
+        j = first + i
+        t = (j - centre) / width
+        rest = abs(samples[j] - base - tilt * j - height * math.exp(-0.5 * t * t))
+        rests[i] = -1.0 if cut[j] else rest
+
+
+@kernel
+def _scatter(rests: Floats) -> float:
+    """Robust deviation: 1.48 times the median of the distances that are not negative."""
+    ordered = np.sort(rests)
+    n, start = len(rests), 0
+    while start < n and ordered[start] < 0.0:
+        start += 1
+    if n - start < 3:
         return np.inf
-    return 1.4826 * np.sort(rests[:n])[n // 2]
-
-
-@kernel
-def _profile(signal: npt.NDArray[Any], row: int, low: int, high: int, peak: int) -> Floats:
-    """The row's samples of columns [low, high), each the median of three rows where the stripe goes on.
-
-    Where it does not (it ends, jumps, or is steep) the samples themselves, less single bright ones.
-    """
-    height = signal.shape[0]
-    out = np.empty(high - low, np.float64)
-    above, here, below = signal[max(row - 1, 0)], signal[row], signal[min(row + 1, height - 1)]
-    tallest, median_tallest = -np.inf, -np.inf
-    for j in range(max(low, peak - 2), min(high, peak + 3)):
-        a, b, c = float(above[j]), float(here[j]), float(below[j])
-        median_tallest = max(median_tallest, max(min(a, b), min(max(a, b), c)))
-        left, right = float(here[max(j - 1, low)]), float(here[min(j + 1, high - 1)])
-        tallest = max(tallest, max(min(left, b), min(max(left, b), right)))
-    floor = np.inf
-    for j in range(low, high):
-        floor = min(floor, float(here[j]))
-    along = 0 < row < height - 1 and median_tallest - floor > 0.8 * (tallest - floor)
-    for j in range(low, high):
-        b = float(here[j])
-        if along:
-            a, c = float(above[j]), float(below[j])
-        else:
-            a, c = float(here[max(j - 1, low)]), float(here[min(j + 1, high - 1)])
-            # A median along the row would flatten a narrow peak: only what sticks out is cut.
-            if b <= 2.0 * max(a, c) - floor:
-                out[j - low] = b
-                continue
-        out[j - low] = max(min(a, b), min(max(a, b), c))
-    return out
-
-
-@kernel
-def _start(
-    profile: Floats, cut: npt.NDArray[np.bool_], low: int, top: int, max_width_px: float
-) -> tuple[bool, float, float, float, float]:
-    """(ok, centre, width, height, background) from where the profile crosses two of its own levels."""
-    n = len(profile)
-    base = np.inf
-    for j in range(n):
-        base = min(base, profile[j])
-    height = profile[top] - base
-    if not height > 0.0:
-        return False, 0.0, 0.0, 0.0, 0.0
-    left, right = _crossings(profile, top, base + 0.5 * height)
-    # The darkest sample lies below the background by its noise: once more, from the sides of the stripe.
-    wide = max(right - left, 2.0)
-    total, m = 0.0, 0
-    for j in range(n):
-        d = abs(j - 0.5 * (left + right))
-        if 1.6 * wide <= d <= 1.6 * wide + _SIDE:
-            total += profile[j]
-            m += 1
-    if m >= 3:
-        base = min(total / m, profile[top] - 0.5 * height)
-        height = profile[top] - base
-        left, right = _crossings(profile, top, base + 0.5 * height)
-    centre, width = 0.5 * (left + right), max((right - left) / _FWHM, 0.5)
-    first, last = top, top
-    if cut[top]:
-        while first > 0 and cut[first - 1]:
-            first -= 1
-        while last < n - 1 and cut[last + 1]:
-            last += 1
-        # Two samples of a flank give the width, ln(a / b) = (xb^2 - xa^2) / (2 w^2); both flanks, the mean.
-        total, m = 0.0, 0
-        for side in (-1, 1):
-            at = (first if side < 0 else last) + side
-            if not 0 <= at < n or not 0 <= at + side < n:
-                continue
-            a, b = profile[at] - base, profile[at + side] - base
-            xa, xb = at - centre, at + side - centre
-            if a > b > 0.05 * height and abs(xb) > abs(xa):
-                total += (xb * xb - xa * xa) / (2.0 * math.log(a / b))
-                m += 1
-        if m > 0:
-            width = math.sqrt(total / m)
-        half = 0.5 * (last - first + 1)
-        height *= math.exp(min(0.5 * (half / width) ** 2, 5.0))
-    if width > 1.5 * max_width_px:
-        return False, 0.0, 0.0, 0.0, 0.0
-    return True, low + centre, width, height, base
-
-
-@kernel
-def _crossings(profile: Floats, top: int, level: float) -> tuple[float, float]:
-    """Where the profile falls below ``level`` left and right of ``top``, between samples."""
-    n = len(profile)
-    j = top
-    while j > 0 and profile[j - 1] > level:
-        j -= 1
-    left = float(j)
-    if j > 0:
-        left -= (profile[j] - level) / max(profile[j] - profile[j - 1], 1e-9)
-    i = top
-    while i < n - 1 and profile[i + 1] > level:
-        i += 1
-    right = float(i)
-    if i < n - 1:
-        right += (profile[i] - level) / max(profile[i] - profile[i + 1], 1e-9)
-    return left, right
-
-
-@kernel
-def _background(
-    profile: Floats, centre: float, width: float, noise: float, height: float
-) -> tuple[float, float]:
-    """Background at the profile's first sample, and its slope: from the medians of either side."""
-    n = len(profile)
-    beside = int(math.ceil(3.4 * width)) + 1
-    middle = int(round(centre))
-    left = profile[max(0, middle - beside - _SIDE + 1) : max(0, middle - beside + 1)]
-    right = profile[min(n, middle + beside) : min(n, middle + beside + _SIDE)]
-    if len(left) < 3 and len(right) < 3:
-        return np.min(profile), 0.0
-    if len(left) < 3:
-        return np.median(right), 0.0
-    if len(right) < 3:
-        return np.median(left), 0.0
-    a, b = np.median(left), np.median(right)
-    if abs(b - a) < 1.8 * noise:
-        return 0.5 * (a + b), 0.0
-    if abs(b - a) > 0.3 * height:
-        # Something else stands on one side: another stripe, or a bright surface.
-        return min(a, b), 0.0
-    tilt = (b - a) / (2.0 * beside + _SIDE - 1.0)
-    return 0.5 * (a + b) - tilt * centre, tilt
+    return 1.4826 * ordered[start + (n - start) // 2]
 
 
 @kernel
 def _improve(
     samples: Floats,
     cut: npt.NDArray[np.bool_],
-    first: int,
-    stop: int,
+    span: tuple[int, int],
     start: tuple[float, float, float, float, float],
     noise: float,
     gate: float,
+    slack: float,
 ) -> tuple[float, float, float, float, int]:
-    """One Gauss-Newton step: (height, shift of the centre, width, deviation of the centre, flags or -1).
+    """One Gauss-Newton step: (height, shift of the centre, width, deviation of the centre, flags or
+    -1).
 
     Unknowns are height, centre and width; ``start`` is (centre, width, height, background at sample 0,
-    its slope), whose background stands. Samples farther off than ``gate`` and clipped ones are left out.
+    its slope), whose background stands. Samples farther off than ``gate``, and than ``slack`` px of
+    centre or width explain, are left out, and clipped ones.
     """
+    first, stop = span
     centre, width, height, base, tilt = start
     flags = 0
     n00 = n01 = n02 = n11 = n12 = n22 = b0 = b1 = b2 = squares = 0.0
@@ -279,7 +325,7 @@ def _improve(
     value = math.exp(-0.5 * t * t)
     ratio = math.exp(-inverse * (t + 0.5 * inverse))
     change = math.exp(-inverse * inverse)
-    near = 3.0 * width
+    near = max(3.0 * width, 1.5)
     for j in range(first, stop):
         x = j - centre
         model = height * value
@@ -292,7 +338,7 @@ def _improve(
             if abs(x) < near:
                 flags |= _SATURATED
             continue
-        if abs(rest) > gate:
+        if abs(rest) > gate + slack * (abs(slope1) + slope2):
             if abs(x) < near:
                 flags |= _GATED
             continue

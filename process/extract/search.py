@@ -20,6 +20,8 @@ Counts = npt.NDArray[np.uint16]
 
 #: Columns of one block of the search: the best score of each block is kept.
 _BLOCK = 64
+#: Up to this many blocks, the background is looked for in parts of this many columns instead.
+_FEW, _PART = 4, 8
 #: A vertical score is believed at once when it is at least this share of what the row above showed;
 #: else, or where it is below the threshold, the row is searched for a steep stripe or an end as well.
 _AGREES = 0.5
@@ -35,7 +37,8 @@ _TRIES = 6
 def find_peaks(
     signal: npt.NDArray[Any], from_px: int, to_px: int, base_dn: float
 ) -> tuple[Ints, npt.NDArray[np.bool_]]:
-    """The brightest stripe of each row: its rough position (H,), -1 for none; and whether there is a second.
+    """The brightest stripe of each row: its rough position (H,), -1 for none; and whether there is a
+    second.
 
     ``signal`` is (H, W); columns [from_px, to_px) are looked at; what is not half of ``base_dn`` above
     the darkest block of its row is no stripe.
@@ -45,6 +48,9 @@ def find_peaks(
     second = np.zeros(height, np.bool_)
     best = _score_pairs(signal, from_px, to_px)
     lowest, highest, brightest, bright = _rank(best)
+    if len(best) <= _FEW:
+        # The stripe may be in each of so few blocks, so that none shows the background.
+        _darkest(signal, from_px, to_px, lowest)
     before_dn, before = 0.0, -1
     for row in range(height):
         pair = row >> 1
@@ -75,7 +81,7 @@ def find_peaks(
 
 @kernel
 def _score_pairs(signal: npt.NDArray[Any], from_px: int, to_px: int) -> npt.NDArray[Any]:
-    """Best of the lesser of two rows, in every block of columns of every pair of rows: (blocks, pairs)."""
+    """Best of the lesser of two rows, in every block of every pair of rows: (blocks, pairs)."""
     height = signal.shape[0]
     blocks = (to_px - from_px + _BLOCK - 1) // _BLOCK
     out = np.empty((blocks, (height + 1) // 2), signal.dtype)
@@ -106,7 +112,7 @@ def _score_pairs(signal: npt.NDArray[Any], from_px: int, to_px: int) -> npt.NDAr
 def _rank(
     best: npt.NDArray[Any],
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any], Counts, Counts]:
-    """Of every pair of rows: least and best score of a block, which is the best, and how many are bright."""
+    """Of every pair of rows: least and best score of a block, which is best, how many are bright."""
     blocks, pairs = best.shape
     lowest, highest = best[0].copy(), best[0].copy()
     for b in range(1, blocks):
@@ -129,6 +135,21 @@ def _rank(
     return lowest, highest, brightest, bright
 
 
+@kernel
+def _darkest(signal: npt.NDArray[Any], from_px: int, to_px: int, lowest: npt.NDArray[Any]) -> None:
+    """``lowest`` (pairs,): the best score of the darkest few columns, for every pair of rows."""
+    height, width = signal.shape[0], to_px - from_px
+    part = max(1, min(_PART, width // 4))
+    for pair in range(len(lowest)):
+        row = min(2 * pair, max(height - 2, 0))
+        here, under = signal[row], signal[min(row + 1, height - 1)]
+        for first in range(from_px, to_px - part + 1, part):
+            top = min(here[first], under[first])
+            for j in range(first + 1, first + part):
+                top = max(top, min(here[j], under[j]))
+            lowest[pair] = min(lowest[pair], top)
+
+
 @inlined
 def _position(
     signal: npt.NDArray[Any],
@@ -143,8 +164,8 @@ def _position(
 ) -> int:
     """Where, in the block from ``first`` on, the row's score is about ``top``; -1 if nowhere.
 
-    A place beside the one of the row before serves as well when it is nearly as bright: the methods find
-    the centre themselves. Of a plateau, as clipped stripes have, the middle.
+    A place beside the one of the row before serves as well when it is nearly as bright: the methods
+    find the centre themselves. Of a plateau, as clipped stripes have, the middle.
     """
     up, here, down = signal[above], signal[row], signal[below]
     last = min(first + _BLOCK, to_px)
@@ -191,7 +212,7 @@ def _search_row(
         return -1, floor
     alone = signal.shape[0] == 1
     if alone or top - floor < _AGREES * (pair - floor):
-        at = _steep(signal, row, from_px, to_px, floor, top, least_dn)
+        at = _steep(signal, row, from_px, to_px, floor, floor if alone else top, least_dn)
         if at >= 0:
             return at, float(here[at])
     if alone or top - floor < least_dn:
@@ -322,7 +343,11 @@ def _steep(
 def _confirmed(
     signal: npt.NDArray[Any], row: int, from_px: int, to_px: int, at: int, floor: float
 ) -> bool:
-    """Whether the bright pair at ``at`` is a stripe: three samples wide, or with a neighbour in reach."""
+    """Whether the bright pair at ``at`` is a stripe: by itself, or by a neighbour in reach.
+
+    By itself when it is four samples wide, which hot pixels hardly ever are, or three that look like a
+    summit.
+    """
     here = signal[row]
     level = floor + 0.3 * (float(here[at]) - floor)
     low, high = at, at
@@ -331,8 +356,8 @@ def _confirmed(
     while high < to_px - 1 and float(here[high + 1]) > level:
         high += 1
     wide = high - low + 1
-    if signal.shape[0] == 1:
-        return wide >= 3
+    if wide >= 4 or (wide == 3 and _summit(here, low + 1, from_px, to_px, floor)):
+        return True
     reach = 4 + 2 * wide
     for other in (row - 1, row + 1):
         if other < 0 or other >= signal.shape[0]:
@@ -342,3 +367,36 @@ def _confirmed(
             if float(min(line[j], line[j + 1])) > level:
                 return True
     return False
+
+
+@kernel
+def _summit(here: npt.NDArray[Any], at: int, from_px: int, to_px: int, floor: float) -> bool:
+    """Whether three samples about ``at`` are a Gaussian's: they then tell the two beside them."""
+    if at - 2 < from_px or at + 2 >= to_px:
+        return False
+    left, top, right = float(here[at - 1]) - floor, float(here[at]) - floor, float(here[at + 1]) - floor
+    if not (left > 0.0 and right > 0.0 and top > left and top > right):
+        return False
+    # The third difference of a Gaussian's logarithm is nothing.
+    cube = top * top * top
+    beyond, before = right * right * right * left / cube, left * left * left * right / cube
+    off = max(abs(float(here[at + 2]) - floor - beyond), abs(float(here[at - 2]) - floor - before))
+    return off < 0.15 * top
+
+
+@kernel
+def second_try(signal: npt.NDArray[Any], row: int, from_px: int, to_px: int) -> int:
+    """The brightest place of a row that is two columns wide, so no single hot column; or -1."""
+    height = signal.shape[0]
+    up, here, down = signal[max(row - 1, 0)], signal[row], signal[min(row + 1, height - 1)]
+    if height == 1 or to_px - from_px < 4:
+        return -1
+    best, at = -np.inf, -1
+    before = min(min(up[from_px], here[from_px]), down[from_px])
+    for j in range(from_px + 1, to_px):
+        score = min(min(up[j], here[j]), down[j])
+        value = float(min(before, score))
+        if value > best:
+            best, at = value, j if score > before else j - 1
+        before = score
+    return at
