@@ -8,15 +8,16 @@ from __future__ import annotations
 import uuid
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..schemas.calibration import Calibration
-from ..schemas.document import dump_json
 from ..schemas.errors import CalibrationError, ConflictError, StorageError
-from ..schemas.quality import LeftOut, Quality
 from .output import current_session
+
+if TYPE_CHECKING:
+    from ..schemas.calibration import Calibration
+    from ..schemas.quality import LeftOut, Quality
 
 OutOption = Annotated[
     Path | None, typer.Option("--out", "-o", metavar="FILE", help="Write the calibration there.")
@@ -45,6 +46,8 @@ def check_free(*paths: Path | None, overwrite: bool) -> None:
 
 def write_calibration(calibration: Calibration, out: Path) -> None:
     """The document as readable JSON; the file appears whole or not at all."""
+    from ..schemas.document import dump_json
+
     staged = out.with_name(f".{out.name}.{uuid.uuid4().hex[:8]}")
     try:
         staged.write_bytes(dump_json(calibration.plain()))

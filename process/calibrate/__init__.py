@@ -1,1 +1,1 @@
-"""Estimation of calibration parts: arrays and documents in, documents with covariance and quality out."""
+"""Estimation of calibration parts: arrays and documents in, documents with covariance out."""
