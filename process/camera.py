@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..schemas.calibration import Intrinsics
-from .compiled import kernel
+from .compiled import exact_kernel
 
 Floats = npt.NDArray[np.float64]
 
@@ -80,7 +80,7 @@ def _numbers(camera: Intrinsics) -> tuple[float, ...]:
     return (*(float(n) for n in focal), float(camera.skew), *(float(n) for n in camera.distortion))
 
 
-@kernel
+@exact_kernel
 def _undistort(u: Floats, v: Floats, camera: tuple[float, ...], x: Floats, y: Floats) -> None:
     fx, fy, cx, cy, skew, k1, k2, p1, p2, k3 = camera
     n = len(u)
@@ -119,7 +119,7 @@ def _undistort(u: Floats, v: Floats, camera: tuple[float, ...], x: Floats, y: Fl
         y[i] = b - db if good else np.nan
 
 
-@kernel
+@exact_kernel
 def _newton(
     x: float,
     y: float,

@@ -37,7 +37,19 @@ def inlined(function: Function) -> Function:
 
 def kernel(function: Function) -> Function:
     """``function`` compiled on its first call for given argument types; releases the GIL."""
-    compiled = _compiled(function, inline="never")
+    return _cached(_compiled(function, inline="never"))
+
+
+def exact_kernel(function: Function) -> Function:
+    """A kernel whose every operation is rounded as written.
+
+    A value then does not depend on its place in an array, which decides between vector unit and remainder:
+    a scan in two logs gives the points of the scan in one.
+    """
+    return _cached(numba.njit(nogil=True, error_model="numpy")(function))
+
+
+def _cached(compiled: Any) -> Any:
     folder = _cache_folder()
     if folder is not None:
         before = config.CACHE_DIR

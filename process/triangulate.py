@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..schemas.calibration import LaserPlane, TurntableAxis
-from .compiled import kernel
+from .compiled import exact_kernel
 
 Floats = npt.NDArray[np.float64]
 
@@ -83,7 +83,7 @@ def scene_points(
     return xyz, distance
 
 
-@kernel
+@exact_kernel
 def _scene_points(
     xn: Floats,
     yn: Floats,

@@ -107,7 +107,7 @@ def _fit_within(
     profile = profile_of(signal, row, low, high, along)
     best, cost, strange = _attempt(samples, cut, profile, low, peak, limits)
     if not best[0] or strange > _DOUBTFUL:
-        # The rows above and below may show something else after all, or better: once more the other way.
+        # The rows beside it may show something else after all, or better: once more the other way.
         profile = profile_of(signal, row, low, high, not along)
         other, its_cost, _ = _attempt(samples, cut, profile, low, peak, limits)
         if other[0] and (not best[0] or its_cost < cost):

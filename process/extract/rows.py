@@ -112,11 +112,13 @@ def _gather(
         if width * _CLEAR > half:
             # A wide stripe covers much of its window: the background lies farther out.
             for _ in range(3):
-                reach = int(2.0 * _CLEAR * width)
+                reach = max(half, int(min(2.0 * _CLEAR * width, float(to_px - from_px))))
                 base = _far_base(
                     source, place - reach, place + reach, from_px, to_px, base, noise, whole
                 )
                 top, height = _top(line, begin, end, half, base)
+                if not height > 0.0:
+                    break
                 low, high = _edges(line, begin, end, top, base + 0.5 * height)
                 width = _width(line, begin, end, low, high, base + 0.5 * height)
         if not height > base_dn:

@@ -59,7 +59,8 @@ def _tables() -> Tables:
     grid = np.arange(int(32 * k[-1] * 1.2) + 1) / 32.0
     nearest = np.abs(np.log(np.maximum(grid, 0.1))[:, None] - np.log(k)[None, :]).argmin(axis=1)
     reach = np.ceil(3.6 * k).astype(np.int64) + 1
-    return Tables(g.astype(np.float32), x.astype(np.float32), k, reach, nearest)
+    widths = np.asarray(k, np.float64)
+    return Tables(g.astype(np.float32), x.astype(np.float32), widths, reach, nearest)
 
 
 #: Constants of the compiled kernels.

@@ -113,7 +113,7 @@ def test_the_paper_recipe_runs_beside_as_well(lab: Console) -> None:
 def test_without_extraction_process_does_it_later(lab: Console) -> None:
     done = lab("record", "--no-extract", "--to-deg", "6")
     assert "no points yet: turnscan process" in done.stderr
-    assert len(lab.json("status")) == 2
+    assert [row["table"] for row in lab.json("status")] == ["stripes and points"]
     lab("process", "latest")
     assert lab.json("status") == []
 
