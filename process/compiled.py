@@ -43,8 +43,8 @@ def kernel(function: Function) -> Function:
 def exact_kernel(function: Function) -> Function:
     """A kernel whose every operation is rounded as written.
 
-    A value then does not depend on its place in an array, which decides between vector unit and remainder:
-    a scan in two logs gives the points of the scan in one.
+    A value then does not depend on its place in an array, which decides between vector unit and
+    remainder: a scan in two logs gives the points of the scan in one.
     """
     return _cached(numba.njit(nogil=True, error_model="numpy")(function))
 

@@ -1,4 +1,4 @@
-"""Clipped stripes, from their flanks: a fit that leaves the clipped samples out, on the windows' tables.
+"""Clipped stripes, from their flanks: a fit without the clipped samples, on the windows' tables.
 
 With a window g about (c, k) a Gaussian stripe is g (a0 + a1 x + a2 x^2) to first order: its centre is
 c + k^2 a1 / a0 and 1 / w^2 = 1 / k^2 - 2 a2 / a0. The equations hold for any set of samples; two
@@ -122,7 +122,7 @@ def _flank_sums(
     g: Singles,
     x: Singles,
 ) -> tuple[float, float, float, float, float, float, float, float, float, float]:
-    """Normal equations of a0, a1, a2 over the samples that are not clipped, sum of squares, and their number."""
+    """Normal equations of a0, a1, a2 over samples that are not clipped; sum of squares; how many."""
     n0 = n1 = n2 = n3 = n4 = b0 = b1 = b2 = rest = used = np.float32(0.0)
     start = np.uintp(first)
     level = np.float32(clip_dn)

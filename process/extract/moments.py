@@ -1,8 +1,8 @@
 """Stripe centres of all rows by windowed moments: passes over the frame, each row by itself.
 
-A pass takes the sums of every pending row (memory) and then solves all rows at once (arithmetic), so that
-neither waits for the other. A pilot of a few rows finds the width to begin with; the first pass starts
-at the rough peaks, the second at what it found, and that is the end for nearly every row.
+A pass takes the sums of every pending row (memory) and then solves all rows at once (arithmetic), so
+that neither waits for the other. A pilot of a few rows finds the width to begin with; the first pass
+starts at the rough peaks, the second at what it found, and that is the end for nearly every row.
 """
 
 from __future__ import annotations
@@ -32,13 +32,14 @@ from .window import (
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-#: Columns of ``found``: centre, width, height, background, and the sum of squares that no Gaussian explains.
+#: Lines of ``found``: centre, width, height, background, and the squares that no Gaussian explains.
 CENTRE, WIDTH, HEIGHT, BASE, REST = range(5)
 #: What a row is: still to be done, done, not to be done this way, or clipped.
 PENDING, DONE, FAILED, CLIPPED = range(4)
 
-#: A window fits when its centre is within this share of its width of the stripe's, and q within the other
-#: of one half (widths within a tenth): the closed form loses less than one in a hundred of the information.
+#: A window fits when its centre is within this share of its width of the stripe's, and q within the
+#: other of one half (widths within a tenth): the closed form then loses less than one in a hundred of
+#: the information.
 _CENTRED, _MATCHED = 0.25, 0.05
 _PASSES = 6
 _PILOTS = 12
@@ -118,7 +119,7 @@ def _take(
     noise: float,
     work: Floats,
 ) -> None:
-    """The sums of the first ``n`` of ``rows`` about their present centres; no sum for one near a border."""
+    """The sums of the first ``n`` of ``rows`` about their present centres; none near a border."""
     for j in range(n):
         row = rows[j]
         i = index[row]
@@ -194,7 +195,7 @@ def _solve(
     index: Ints,
     work: Floats,
 ) -> int:
-    """Centres and widths from the sums; ``rows`` then lists those still pending, whose number is returned."""
+    """Centres and widths from the sums; ``rows`` then begins with those still pending: how many."""
     last = len(K) - 1
     widest = 1.05 * K[last]
     own, shift, part, wide, tall, rest = work[6], work[7], work[8], work[9], work[10], work[11]
@@ -219,8 +220,8 @@ def _solve(
         else:
             centre = work[5, j] + shift[j]
             found[CENTRE, row] = centre
-            # The window of the stripe's own width goes with q = 1 / 2; one step of the table moves that by
-            # 0.024.
+            # The window of the stripe's own width goes with q = 1 / 2; one step of the table moves that
+            # by 0.024.
             near = abs(shift[j]) <= _CENTRED * own[j]
             if near and (abs(q - 0.5) <= _MATCHED or (i == 0 and q < 0.5)):
                 found[WIDTH, row] = wide[j]
@@ -251,7 +252,7 @@ def _arithmetic(
     rest: Floats,
     n: int,
 ) -> None:
-    """Shift, q, width, height and remainder of all rows from their sums: without a branch, so vectorised."""
+    """Shift, q, width, height and remainder of all rows from their sums: no branch, so vectorised."""
     for row in range(n):
         k, s0, s1 = own[row], sum0[row], sum1[row]
         scale, square = 1.0 / s0, 1.0 / (k * k)
@@ -264,8 +265,8 @@ def _arithmetic(
         wide[row] = k * root / np.sqrt(1.0 - q)
         # The window's place differs from the stripe's by so little that it matters to no height.
         tall[row] = s0 / (_ROOT_2_PI * k * root)
-        # What a height and a width explain: the window and the window times x^2 / k^2, whose Gram matrix is
-        # k sqrt(pi) [[1, 1/2], [1/2, 3/4]]; and what a shift does, the window times x.
+        # What a height and a width explain: the window and the window times x^2 / k^2, whose Gram
+        # matrix is k sqrt(pi) [[1, 1/2], [1/2, 3/4]]; and what a shift does, the window times x.
         even = (1.5 * s0 * s0 - 2.0 * s0 * s2 + 2.0 * s2 * s2) / (2.0 * _HALF_ROOT_PI * k)
         odd = s1 * s1 * square / (_HALF_ROOT_PI * k)
         rest[row] = abs(sum3[row] - even - odd)

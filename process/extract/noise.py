@@ -46,7 +46,7 @@ def noise_dn(frame: npt.NDArray[Any]) -> float:
 
 @kernel
 def _lower_mean(frame: npt.NDArray[Any], rows: int, bin_dn: float) -> float:
-    """Mean of the lower two thirds of |second differences|, from a histogram with bins of ``bin_dn``."""
+    """Mean of the lower two thirds of |second differences|, from a histogram of ``bin_dn`` steps."""
     height, width = frame.shape
     counts = np.zeros(_BINS, np.int64)
     total = 0

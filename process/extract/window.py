@@ -1,13 +1,14 @@
 """Moments of a row under a Gaussian window: one step to the centre, width and height of a stripe.
 
-A Gaussian stripe times a Gaussian window is a Gaussian again, so that the mean r and variance v of their
-product give the stripe's centre and width in closed form, whatever the window's own centre c and width k
-(standard deviations, px): with q = v / k^2,
+A Gaussian stripe times a Gaussian window is a Gaussian again, so that the mean r and variance v of
+their product give the stripe's centre and width in closed form, whatever the window's own centre c and
+width k (standard deviations, px): with q = v / k^2,
 
     u = c + r / (1 - q),    w = k sqrt(q / (1 - q)).
 
 With k = w and c = u this is the matched filter of the stripe's derivative, hence as exact as a
-least-squares fit: it reaches the Cramer-Rao bound. Tables hold the windows for steps of width and phase.
+least-squares fit: it reaches the Cramer-Rao bound. Tables hold the windows for steps of width and
+phase.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ SIDE: Final = 8
 
 
 class Tables(NamedTuple):
-    """Windows ``g`` (width, phase, sample), sample positions ``x`` (phase, sample), and what goes with a width.
+    """Windows ``g`` (width, phase, sample), sample places ``x`` (phase, sample), and more.
 
     ``k`` is its value, ``reach`` the first sample of the background, counted from the centre's pixel;
     ``nearest`` gives the index of the width nearest to n / 32 px.

@@ -378,3 +378,19 @@ def test_bad_arguments_are_named() -> None:
 def test_tiny_frames_do_no_harm(shape: tuple[int, int], method: str) -> None:
     for value in (0, 255):
         assert len(extract_stripe(np.full(shape, value, np.uint8), method)) == 0
+
+
+@pytest.mark.parametrize("method", [m for m in METHODS if m != "fused"])
+def test_noise_alone_is_never_more_than_faint_points(method: str) -> None:
+    """What looks wide in noise has a background of its own, which may leave nothing of it."""
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        glow = 3.0 * np.exp(-(((np.arange(101) - rng.uniform(20, 80)) / rng.uniform(3, 30)) ** 2))
+        lit, dark = (
+            np.rint(20 + rng.normal(0, 0.4, (300, 101)) + part).astype(np.uint8) for part in (glow, 0)
+        )
+        found = extract_stripe(
+            lit, method, background=dark, base_dn=2.0, max_width_px=25.0, from_px=25, to_px=76
+        )
+        assert np.isfinite(found["u_px"]).all()
+        assert (found["amplitude_dn"] < 10.0).all()
