@@ -67,10 +67,12 @@ def undistort_points(
     Newton's method with the analytic Jacobian. NaN where the model folds back on itself, so that no
     single ray belongs to the pixel.
     """
-    u, v = np.broadcast_arrays(np.asarray(u_px, np.float64), np.asarray(v_px, np.float64))
+    u, v = np.asarray(u_px, np.float64), np.asarray(v_px, np.float64)
+    if u.shape != v.shape:
+        u, v = np.broadcast_arrays(u, v)
     shape = u.shape
     x, y = np.empty(u.size, np.float64), np.empty(u.size, np.float64)
-    _undistort(np.ravel(u), np.ravel(v), _numbers(camera), x, y)
+    _undistort(np.ascontiguousarray(u).ravel(), np.ascontiguousarray(v).ravel(), _numbers(camera), x, y)
     return x.reshape(shape), y.reshape(shape)
 
 
