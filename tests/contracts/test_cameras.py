@@ -17,6 +17,10 @@ import pytest
 from turnscan.ingest.devices.cameras.building import camera_of
 from turnscan.ingest.devices.clock import SystemClock
 from turnscan.ingest.devices.contracts import Camera, CameraInfo, Clock, Shot
+from turnscan.ingest.room import built_in
+from turnscan.ingest.room.camera import Look, SimulatedCamera
+from turnscan.ingest.room.rig import SimulatedRig
+from turnscan.ingest.room.scene import Scene
 from turnscan.schemas.errors import DeviceError
 from turnscan.schemas.rig import CameraSettings
 
@@ -236,3 +240,33 @@ def test_no_such_v4l2_device(tmp_path: Path) -> None:
     settings = CameraSettings(driver="v4l2", device="usb-No_Such_Camera-video-index0")
     with pytest.raises(DeviceError, match="no such device"):
         camera_of(settings, SystemClock(), folder=tmp_path).open()
+
+
+class TestSimulated(CameraContract):
+    """The simulated camera, exposing when asked."""
+
+    fps: float | None = None
+
+    @pytest.fixture
+    def camera(self, clock: Clock, tmp_path: Path) -> Iterator[Camera]:
+        calibration, document = (
+            built_in.BUILT_IN_CALIBRATIONS["room"](),
+            built_in.BUILT_IN_SCENES["room"](),
+        )
+        look = Look(
+            scene=Scene(document.shapes),
+            rig=SimulatedRig(calibration),
+            light=document.light,
+            sensor=document.sensor,
+        )
+        made = SimulatedCamera(
+            look, clock, actual_angle_rad=lambda _: 0.3, lasers_lit=lambda _: (0,), fps=self.fps
+        )
+        yield made
+        made.close()
+
+
+class TestSimulatedFreeRunning(TestSimulated):
+    """The same, exposing on and on, whoever waits."""
+
+    fps = 20.0
