@@ -145,7 +145,7 @@ def test_ctrl_c_seals_what_there_is_and_resume_takes_the_rest(lab: Console, numb
     assert lab.archive is not None
     wait_for_frames(lab.archive, 5, process)
     process.send_signal(number)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=150)
     assert process.returncode == 130, (out, err)
     assert "Traceback" not in err
     assert "to go on with what is missing: turnscan record --rig rig.toml --resume" in err
@@ -171,7 +171,7 @@ def test_a_resumed_scan_is_shown_processed_and_exported_as_one(lab: Console) -> 
     assert lab.archive is not None
     wait_for_frames(lab.archive, 5, process)
     process.send_signal(signal.SIGINT)
-    process.communicate(timeout=60)
+    process.communicate(timeout=150)
     second = lab.json("record", "--resume", "cut")
     first = second["continues"]
     for word in ("cut", first, second["scan"], "latest"):
@@ -201,7 +201,7 @@ def killed(
         wait_for_frames(console.archive, after_frames, process)
     time.sleep(after_s)
     process.kill()
-    process.communicate(timeout=60)
+    process.communicate(timeout=150)
     parts = growing(console.archive)
     part = parts[-1].read_bytes() if parts else None
     return part, 0 if part is None else frames_on_disk(part)
@@ -384,7 +384,7 @@ def test_a_disk_that_is_really_full_still_takes_the_end_of_the_log(lab: Console)
                     filler.write(bytes(1 << 16))
             except OSError:
                 pass
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=150)
         assert process.returncode == 1, err
         assert err.count("error: ") == 1
         assert "no room" in err
