@@ -31,16 +31,14 @@ DTYPES = {"mono8": np.uint8, "mono16": np.uint16, "bgr8": np.uint8}
 
 
 class CameraContract:
-    """Contract of :class:`turnscan.ingest.devices.contracts.Camera`. Needs 12 frames at least."""
+    """Contract of :class:`turnscan.ingest.devices.contracts.Camera`.
+
+    Who inherits gives a fixture ``camera``, not yet open, of 12 frames at least.
+    """
 
     @pytest.fixture
     def clock(self) -> Clock:
         return SystemClock()
-
-    @pytest.fixture
-    def camera(self, clock: Clock, tmp_path: Path) -> Iterator[Camera]:
-        raise NotImplementedError
-        yield
 
     @pytest.fixture
     def opened(self, camera: Camera) -> Iterator[Camera]:
