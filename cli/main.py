@@ -23,28 +23,12 @@ from ..schemas.errors import (
     UsageError,
 )
 from ..schemas.software import SOFTWARE
-from .calibrating import calibrate_app
-from .calibrating_axis import calibrate_axis_command
-from .calibrating_centre import calibrate_centre_command
-from .calibrating_plane import calibrate_plane_command
-from .calibrating_refine import calibrate_refine_command
-from .calibrations import calibration_app
-from .comparing import compare
-from .demo import demo
-from .deriving import process, status
-from .exporting import export, query
-from .fixity import repair, verify
-from .importing import import_app
+from .commands import LazyGroup
 from .output import Session, current_session, set_session
-from .recipes import recipe_app
-from .recording import record
-from .reporting import report_app
-from .rig import rig_app
-from .scans import scan_app
-from .starting import init
 
 app = typer.Typer(
     name="turnscan",
+    cls=LazyGroup,
     no_args_is_help=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
@@ -56,49 +40,6 @@ app = typer.Typer(
     epilog="Examples: turnscan init lab; cd lab; turnscan import images photos --step-deg 1.125; "
     "turnscan process; turnscan export latest cloud.ply",
 )
-app.command(epilog="Example: turnscan init lab")(init)
-app.command(epilog="Example: turnscan demo room --overwrite")(demo)
-app.command(epilog="Example: turnscan record --rig rig.toml --label bust --step-deg 0.5")(record)
-app.add_typer(rig_app, name="rig")
-app.add_typer(import_app, name="import")
-calibrate_app.command(
-    "plane",
-    epilog="Examples: turnscan calibrate plane laser --pattern 8x6 --square-mm 40 -c camera.json "
-    "-o cal.json --picture plane.png; turnscan calibrate plane pairs --off '*_off.png' "
-    "--pattern 11x6 --square-mm 13 --laser 0 --laser 1 -c camera.json -o cal.json",
-)(calibrate_plane_command)
-calibrate_app.command(
-    "axis",
-    epilog="Examples: turnscan calibrate axis 'table/*.jpg' --step-deg 22.5 --markers 4X4_50 "
-    "--marker-side-mm 30 -c cal.json -o rig.json; turnscan calibrate axis turned --angles angles.csv "
-    "--pattern 9x6 --square-mm 25 --head rotates -c cal.json -o rig.json",
-)(calibrate_axis_command)
-calibrate_app.command(
-    "laser-centre",
-    epilog="Examples: turnscan calibrate laser-centre 500:230 2000:865; turnscan calibrate "
-    "laser-centre 500:230 2000:865 --sigma-distance-mm 1.5 -c cal.json -o cal2.json",
-)(calibrate_centre_command)
-calibrate_app.command(
-    "refine",
-    epilog="Examples: turnscan calibrate refine camera-seen.json plane-seen.json axis-seen.json "
-    "-c rig.json -o refined.json; turnscan calibrate refine camera-seen.json plane-seen.json "
-    "-c rig.json --wall wall.csv:7000:1.5 -o refined.json",
-)(calibrate_refine_command)
-app.add_typer(calibrate_app, name="calibrate")
-app.add_typer(calibration_app, name="calibration")
-app.command(epilog="Example: turnscan process latest --recipe paper --dry-run")(process)
-app.command(epilog="Example: turnscan status --check")(status)
-app.add_typer(scan_app, name="scan")
-app.add_typer(recipe_app, name="recipe")
-app.command(
-    epilog="Example: turnscan query 'SELECT frame, count(*) FROM points GROUP BY frame' --format csv"
-)(query)
-app.command(epilog="Example: turnscan export latest cloud.ply")(export)
-app.add_typer(report_app, name="report")
-app.command(epilog="Example: turnscan compare recorded current latest --picture shifts.png")(compare)
-app.command(epilog="Example: turnscan verify --json")(verify)
-app.command(epilog="Example: turnscan repair --dry-run")(repair)
-
 #: The way out where an error names none of its own.
 _WAYS_OUT: tuple[tuple[type[TurnscanError], str], ...] = (
     (InputError, "correct or leave out what is named, then run the command again"),

@@ -21,6 +21,7 @@ import pytest
 import typer
 from console import Console, Inside, every_file, surroundings, write_frames, write_json
 
+from turnscan.cli.commands import ENTRIES
 from turnscan.cli.main import app
 from turnscan.cli.recipes import recipe_toml
 from turnscan.schemas.recipe import BUILT_IN, Extract, Grey, Recipe, Window, parse_recipe
@@ -88,9 +89,21 @@ def test_help_starts_fast(console: Console) -> None:
     assert ours / typers < 6
 
 
-def test_the_command_loads_no_models_before_it_runs() -> None:
-    code = "import sys, turnscan.cli.main; sys.exit('pydantic' in sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True, cwd="/")
+def test_the_list_of_commands_loads_none_of_them() -> None:
+    code = """
+import atexit, os, sys
+from turnscan.cli.main import main
+loaded = lambda: [m for m in sys.modules if m in ("pydantic", "numpy", "turnscan.cli.scans")]
+atexit.register(lambda: os._exit(len(loaded())))
+main(["--help"])
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, cwd="/", stdout=subprocess.DEVNULL)
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_the_list_says_what_the_command_says(name: str) -> None:
+    assert COMMANDS[(name,)].help.split("\n\n")[0].replace("\n", " ") == ENTRIES[name].line
+    assert COMMANDS[(name,)].name == name
 
 
 def test_no_words_is_help_and_usage(console: Console) -> None:
