@@ -145,12 +145,10 @@ def test_a_driver_that_hangs_is_noticed_by_the_one_who_asks(sensor: Sensor) -> N
     camera.open()
     camera.shoot(SystemClock().now_ns())
     sensor.frozen.set()
-    begun = time.monotonic()
+    # Before the driver itself gave up, half a second after it hung: that error has other words.
     with pytest.raises(DeviceError, match=r"no frame for 0\.\d s"):
         for _ in camera.stream():
             pass
-    # Before the driver itself gave up, half a second after it hung.
-    assert time.monotonic() - begun < 0.5
     time.sleep(0.5)
     # The first finding stays.
     with pytest.raises(DeviceError, match="no frame for"):
