@@ -3,7 +3,9 @@
 A picture of markers says everything but their size. Points are measured with the laser, so the axis
 must be in the laser's scale, or every radius is wrong by the printer's error times the distance. Where
 the stripe crosses the table, its depth is known twice: from the laser's plane, and from the markers'
-plane times the unknown scale; so each stripe point gives the scale by itself.
+plane times the unknown scale; so each stripe point gives the scale by itself. Tables are dished or
+domed (a wooden one of 200 mm by half a millimetre): only points among the markers, and as far from the
+axis as they are, speak of the markers' plane.
 """
 
 from __future__ import annotations
@@ -57,7 +59,8 @@ def table_scale(
 ) -> TableScale | None:
     """The scale from the stripes in each of the fit's frames; None where too few cross the markers.
 
-    Only stripe points among the markers (inside their convex hull) count.
+    Only stripe points among the markers count: inside their convex hull, and no nearer to the axis than
+    their nearest corner.
     """
     if fit.plane is None:
         return None
@@ -71,7 +74,7 @@ def table_scale(
         distance = distance0 - float(normal0 @ state.point_mm) + float(normal @ state.point_mm)
         placed = (corners - state.point_mm) @ turn.T + state.point_mm
         for line in found:
-            said = _ratios(line, normal, distance, placed, plane)
+            said = _ratios(line, normal, distance, placed, (state.point_mm, state.direction), plane)
             if said is None:
                 continue
             ratio, lever = said
@@ -105,7 +108,12 @@ def table_scale(
 
 
 def _ratios(
-    line: StripeLine, normal: Floats, distance: float, corners: Floats, plane: LaserPlane
+    line: StripeLine,
+    normal: Floats,
+    distance: float,
+    corners: Floats,
+    axis: tuple[Floats, Floats],
+    plane: LaserPlane,
 ) -> tuple[Floats, Floats] | None:
     """Depth on the laser's plane over depth on the markers' plane, and its slopes by nx ny nz h."""
     rays = np.concatenate([line.rays, np.ones((len(line.rays), 1))], axis=1)
@@ -114,13 +122,20 @@ def _ratios(
         facing = rays @ np.array(plane.normal)
         on_plane = plane.distance_mm / facing
     inside = (on_table > 0) & (on_plane > 0)
-    inside &= _within(rays * on_table[:, None], corners, normal)
+    placed = rays * on_table[:, None]
+    inside &= _within(placed, corners, normal)
+    inside &= _from_axis(placed, *axis) >= _from_axis(corners, *axis).min()
     if inside.sum() < _LEAST_POINTS:
         return None
     ratio = (on_plane / on_table)[inside]
     by_normal = -ratio[:, None] * rays[inside] / facing[inside, None]
     by_distance = ratio / plane.distance_mm
     return ratio, np.concatenate([by_normal, by_distance[:, None]], axis=1)
+
+
+def _from_axis(points: Floats, point_mm: Floats, direction: Floats) -> Floats:
+    """Distance of points (N, 3) from an axis."""
+    return np.linalg.norm(np.cross(points - point_mm, direction), axis=1)
 
 
 def _within(points: Floats, corners: Floats, normal: Floats) -> npt.NDArray[np.bool_]:
