@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # The README's tour, as anyone can run it: docs/tour.sh PHOTOS, with turnscan on the PATH.
-# PHOTOS holds step_num<K>.jpg, one frame every 1.125 degrees; a new folder `tour` is made here.
+# PHOTOS holds step_num<K>.jpg, one frame every 1.125 degrees; a new folder `tour` is made here. Folders
+# camera_calibration, laser_calibration and table beside it are what the second part calibrates from.
 set -euo pipefail
 PHOTOS=$(realpath "$1")
 HERE=$(dirname "$(realpath "$0")")
@@ -29,3 +30,15 @@ run 'turnscan calibration add ../moved.json --certify'
 run 'turnscan status'
 run 'turnscan process'
 run 'turnscan verify'
+
+echo "-- a calibration of our own"
+cd ..
+export BOARDS=$PHOTOS/../camera_calibration STRIPES=$PHOTOS/../laser_calibration TABLE=$PHOTOS/../table
+test -d "$BOARDS" || exit 0
+run 'turnscan calibrate camera $BOARDS --pattern 8x6 --square-mm 40 --rig desk -o camera.json --picture camera.png'
+run 'turnscan calibrate plane $STRIPES --pattern 8x6 --square-mm 40 -c camera.json -o plane.json --picture plane.png'
+run 'turnscan calibrate axis "$TABLE/step*.jpg" --step-deg 22.5 --markers 4X4_50 --marker-side-mm 30 -c plane.json -o rig.json'
+cd lab
+run 'turnscan calibration add ../rig.json --certify'
+run 'turnscan process --stale'
+run 'turnscan compare c-d9e2 current mouse'
