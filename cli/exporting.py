@@ -147,7 +147,7 @@ def points_of(
         if plan.points is None:
             raise NotFoundError(
                 f"scan {plan.scan.scan} has no points of recipe {plan.recipe.name} with calibration "
-                f"{plan.calibration.calibration_id()}",
+                f"{plan.calibration_id}",
                 hint=f"turnscan process {plan.scan.scan}",
             )
         made.append(plan.points)

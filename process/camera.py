@@ -72,18 +72,21 @@ def undistort_points(
         u, v = np.broadcast_arrays(u, v)
     shape = u.shape
     x, y = np.empty(u.size, np.float64), np.empty(u.size, np.float64)
-    _undistort(np.ascontiguousarray(u).ravel(), np.ascontiguousarray(v).ravel(), _numbers(camera), x, y)
+    undistort_into(
+        np.ascontiguousarray(u).ravel(), np.ascontiguousarray(v).ravel(), numbers_of(camera), x, y
+    )
     return x.reshape(shape), y.reshape(shape)
 
 
-def _numbers(camera: Intrinsics) -> tuple[float, ...]:
+def numbers_of(camera: Intrinsics) -> tuple[float, ...]:
     """fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, as the kernels take them."""
     focal = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
     return (*(float(n) for n in focal), float(camera.skew), *(float(n) for n in camera.distortion))
 
 
 @exact_kernel
-def _undistort(u: Floats, v: Floats, camera: tuple[float, ...], x: Floats, y: Floats) -> None:
+def undistort_into(u: Floats, v: Floats, camera: tuple[float, ...], x: Floats, y: Floats) -> None:
+    """As :func:`undistort_points`, into ``x`` and ``y``; ``camera`` as :func:`numbers_of` gives it."""
     fx, fy, cx, cy, skew, k1, k2, p1, p2, k3 = camera
     n = len(u)
     bad = 0
@@ -96,15 +99,17 @@ def _undistort(u: Floats, v: Floats, camera: tuple[float, ...], x: Floats, y: Fl
         da, db, det, xx = _newton(a, b, xd, yd, k1, k2, p1, p2, k3)
         a, b = a - da, b - db
         da, db, det, xx = _newton(a, b, xd, yd, k1, k2, p1, p2, k3)
-        a, b = a - da, b - db
-        x[i] = a
-        y[i] = b
         # Steps shrink as their squares: after one this small nothing is left. NaN compares as bad.
         good = (abs(da) + abs(db) < _LAST_STEP) & (det > _FLAT) & (xx > _FLAT)
         bad += 0 if good else 1
+        x[i] = a - da if good else np.nan
+        y[i] = b - db
     if bad == 0:
         return
     for i in range(n):
+        # Only what needs it: a point must not depend on its neighbours.
+        if not np.isnan(x[i]):
+            continue
         yd = (v[i] - cy) / fy
         xd = (u[i] - cx) / fx - skew * yd
         a, b = xd, yd

@@ -1,14 +1,16 @@
 """Plan what a recipe means for scans, derive what is missing, publish it: where process meets store.
 
-One scan is one task: its log is read once, frames stream through the stages one by one, STRIPES are
-sealed, and POINTS are derived from the sealed STRIPES. The result does not depend on the workers.
+One scan is one task: its log is read once, frames stream through the stages one by one into STRIPES,
+and the rows of STRIPES into POINTS; both are sealed at the end. A recalibration makes POINTS of sealed
+STRIPES. The result does not depend on the workers, nor on their threads.
 """
 
 from __future__ import annotations
 
 import logging
+import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -21,6 +23,7 @@ from ..schemas.manifests import DerivationManifest, ScanSummary
 from ..schemas.recipe import Recipe
 from ..schemas.tables import POINTS, STRIPES
 from ..store import Archive
+from ..store.derivations import TableDraft
 from ..store.log_digest import LogFacts
 from ..store.log_follow import GrowingLog
 from ..store.plan import Plan, stage_records
@@ -73,13 +76,17 @@ def derive(
     calibration: str = "current",
     *,
     workers: int = 1,
+    overlap: bool | None = None,
     advance: Advance | None = None,
 ) -> Iterator[Outcome]:
     """Derive what is missing of ``recipe`` on ``scans``; outcomes in the order of ``scans``.
 
-    ``workers`` above 1 uses that many processes, a scan each. A scan that fails gives an outcome with
-    its error and stops none of the others.
+    ``workers`` above 1 uses that many processes, a scan each. ``overlap`` lets threads decompress
+    ahead and write behind; by default where the workers leave cores to them. Neither changes a byte of
+    the result. A scan that fails gives an outcome with its error and stops none of the others.
     """
+    if overlap is None:
+        overlap = 2 * workers <= (os.cpu_count() or 1)
     total = sum(s.frames for s in scans)
     done = 0
 
@@ -89,10 +96,10 @@ def derive(
 
     plans = archive.plan(scans, recipe, calibration)
     if workers > 1 and len(scans) > 1:
-        jobs = [(archive.root, s, p) for s, p in zip(scans, plans, strict=True)]
+        jobs = [(archive.root, s, p, overlap) for s, p in zip(scans, plans, strict=True)]
         outcomes = in_processes(min(workers, len(jobs)), _in_worker, jobs)
     else:
-        outcomes = (_one(archive, s, p, step) for s, p in zip(scans, plans, strict=True))
+        outcomes = (_one(archive, s, p, overlap, step) for s, p in zip(scans, plans, strict=True))
     for scan, outcome in zip(scans, outcomes, strict=True):
         done += scan.frames
         step(0)
@@ -103,12 +110,13 @@ def _one(
     archive: Archive,
     scan: ScanSummary,
     plan: Plan | TurnscanError,
-    step: Callable[[int], None] | None,
+    overlap: bool,
+    step: Callable[[int], None] | None = None,
 ) -> Outcome:
     if isinstance(plan, TurnscanError):
         return Outcome(scan.scan, error=plan)
     try:
-        return derive_scan(archive, plan, step)
+        return derive_scan(archive, plan, overlap, step)
     except TurnscanError as error:
         return Outcome(scan.scan, error=error)
 
@@ -119,15 +127,17 @@ def _archive(root: Path) -> Archive:
     return Archive.open(root)
 
 
-def _in_worker(root: Path, scan: ScanSummary, plan: Plan | TurnscanError) -> Outcome:
+def _in_worker(root: Path, scan: ScanSummary, plan: Plan | TurnscanError, overlap: bool) -> Outcome:
     try:
-        return _one(_archive(root), scan, plan, None)
+        return _one(_archive(root), scan, plan, overlap)
     except TurnscanError as error:
         return Outcome(scan.scan, error=error)
 
 
-def derive_scan(archive: Archive, plan: Plan, step: Callable[[int], None] | None = None) -> Outcome:
-    """Derive and publish what ``plan`` finds missing.
+def derive_scan(
+    archive: Archive, plan: Plan, overlap: bool = True, step: Callable[[int], None] | None = None
+) -> Outcome:
+    """Derive and publish what ``plan`` finds missing; ``overlap`` as in :func:`derive`.
 
     Raises
     ------
@@ -138,12 +148,14 @@ def derive_scan(archive: Archive, plan: Plan, step: Callable[[int], None] | None
     if plan.done:
         return Outcome(plan.scan.scan)
     began = time.monotonic()
-    name = plan.calibration.calibration_id()
-    LOG.info("%s: calibration %s, %s", plan.scan.scan, name, plan.why_calibration)
-    reasons = {kind: archive.why_missing(plan, kind) for kind in plan.missing}
+    LOG.info("%s: calibration %s, %s", plan.scan.scan, plan.calibration_id, plan.why_calibration)
+    reasons = archive.why_missing(plan)
     check_size(plan.calibration.intrinsics_or_fail(), plan.scan.width_px, plan.scan.height_px)
-    stripes = plan.stripes or _derive_stripes(archive, plan, step)
-    points = plan.points or _derive_points(archive, plan, stripes)
+    if plan.stripes is None:
+        stripes, points = _derive_from_log(archive, plan, overlap, step)
+    else:
+        stripes = plan.stripes
+        points = plan.points or _derive_points(archive, plan, stripes, overlap)
     return Outcome(
         scan=plan.scan.scan,
         derived=plan.missing,
@@ -156,9 +168,10 @@ def derive_scan(archive: Archive, plan: Plan, step: Callable[[int], None] | None
     )
 
 
-def _derive_stripes(
-    archive: Archive, plan: Plan, step: Callable[[int], None] | None
-) -> DerivationManifest:
+def _derive_from_log(
+    archive: Archive, plan: Plan, overlap: bool, step: Callable[[int], None] | None
+) -> tuple[DerivationManifest, DerivationManifest]:
+    """STRIPES, and POINTS of the very rows that STRIPES hold, while the log is read once."""
     tally = Tally()
 
     def advance(now: Tally) -> None:
@@ -166,18 +179,56 @@ def _derive_stripes(
             step(now.frames)
 
     parts = stripe_parts(
-        archive.log(plan.scan.scan).items(ahead=True),
+        archive.log(plan.scan.scan).items(ahead=overlap),
         plan.recipe,
         plan.calibration,
         _source_of(plan.scan),
         tally,
         advance,
     )
-    return archive.publish(
-        "stripes",
-        record_batches(STRIPES, parts),
-        lambda: {**_fields(plan, "stripes"), **tally.fields()},
-    )
+    with (
+        archive.draft("stripes", behind=overlap) as stripes,
+        archive.draft("points", behind=overlap) as draft,
+    ):
+        points = _Points(plan, draft)
+        for batch in record_batches(STRIPES, parts):
+            stripes.take(batch)
+            points.take(batch)
+        stripes.finish({**_fields(plan, "stripes"), **tally.fields()})
+        points.finish(tally.frames, tally.empty, stripes.rows)
+        made = [stripes.publish()]
+        try:
+            made.append(draft.publish())
+        finally:
+            archive.enter(made)
+    return made[0], made[1]
+
+
+class _Points:
+    """POINTS of batches of STRIPES, into a draft."""
+
+    def __init__(self, plan: Plan, draft: TableDraft) -> None:
+        self._plan = plan
+        self._draft = draft
+        self._chain = PointChain(plan.recipe, plan.calibration)
+
+    def take(self, stripes: pa.RecordBatch) -> None:
+        columns = self._chain.points(columns_of(stripes))
+        for batch in record_batches(POINTS, [columns]):
+            self._draft.take(batch)
+
+    def finish(self, frames: int, without_stripe: int, stripes: int) -> None:
+        """All ``stripes`` rows of so many frames were taken."""
+        lost = self._chain.dropped
+        told = (f"{lost} of {stripes} stripe points gave no scene point",) if lost else ()
+        self._draft.finish(
+            {
+                **_fields(self._plan, "points"),
+                "frames": frames,
+                "frames_without_stripe": without_stripe,
+                "warnings": told,
+            }
+        )
 
 
 def _source_of(scan: ScanSummary) -> FrameSource:
@@ -216,21 +267,19 @@ def derive_growing(
     began = time.monotonic()
     source = FrameSource(start.scan, start.camera)
     parts = stripe_parts(growing.items(), start.recipe, start.calibration, source, tally, advance)
-    plans: list[Plan] = []
-
-    def fields() -> dict[str, Any]:
+    with archive.draft("stripes", behind=False) as draft:
+        for batch in record_batches(STRIPES, parts):
+            draft.take(batch)
         seal(growing.facts(), growing.log_sha256())
         plan = next(archive.plan([archive.scan(start.scan)], start.recipe, start.choice))
         if isinstance(plan, TurnscanError):
             raise plan
         _check_live(plan, start, source)
-        plans.append(plan)
-        return {**_fields(plan, "stripes"), **tally.fields()}
-
-    stripes = archive.publish("stripes", record_batches(STRIPES, parts), fields)
-    (plan,) = plans
+        draft.finish({**_fields(plan, "stripes"), **tally.fields()})
+        stripes = draft.publish()
+    archive.enter([stripes])
     LOG.info("%s: stripes sealed", plan.scan.scan)
-    points = _derive_points(archive, plan, stripes)
+    points = _derive_points(archive, plan, stripes, overlap=False)
     return Outcome(
         scan=plan.scan.scan,
         derived=("stripes", "points"),
@@ -261,29 +310,18 @@ def _check_live(plan: Plan, start: LiveStart, source: FrameSource) -> None:
     check_size(plan.calibration.intrinsics_or_fail(), plan.scan.width_px, plan.scan.height_px)
 
 
-def _derive_points(archive: Archive, plan: Plan, stripes: DerivationManifest) -> DerivationManifest:
-    chain = PointChain(plan.recipe, plan.calibration)
-
-    def parts() -> Iterable[dict[str, Any]]:
+def _derive_points(
+    archive: Archive, plan: Plan, stripes: DerivationManifest, overlap: bool
+) -> DerivationManifest:
+    """POINTS of sealed STRIPES."""
+    with archive.draft("points", behind=overlap) as draft:
+        points = _Points(plan, draft)
         for batch in archive.read(stripes):
-            yield chain.points(columns_of(batch))
-
-    def warnings() -> tuple[str, ...]:
-        if not chain.dropped:
-            return ()
-        return (f"{chain.dropped} of {stripes.rows} stripe points gave no scene point",)
-
-    batches: Iterator[pa.RecordBatch] = record_batches(POINTS, parts())
-    return archive.publish(
-        "points",
-        batches,
-        lambda: {
-            **_fields(plan, "points"),
-            "frames": stripes.frames,
-            "frames_without_stripe": stripes.frames_without_stripe,
-            "warnings": warnings(),
-        },
-    )
+            points.take(batch)
+        points.finish(stripes.frames, stripes.frames_without_stripe, stripes.rows)
+        made = draft.publish()
+    archive.enter([made])
+    return made
 
 
 def _fields(plan: Plan, kind: str) -> dict[str, Any]:
@@ -293,9 +331,9 @@ def _fields(plan: Plan, kind: str) -> dict[str, Any]:
         "key": plan.stripes_key if stripes else plan.points_key,
         "scan": plan.scan.scan,
         "content_sha256": plan.scan.content_sha256,
-        "recipe": plan.recipe.recipe_id(),
+        "recipe": plan.recipe_id,
         "recipe_document": plan.recipe.plain(),
-        "calibration": None if stripes else plan.calibration.calibration_id(),
+        "calibration": None if stripes else plan.calibration_id,
         "parts": plan.stripes_parts if stripes else plan.points_parts,
         "upstream": () if stripes else (plan.stripes_key,),
         "stages": stage_records(stages),

@@ -11,12 +11,13 @@ import numpy.typing as npt
 from ..schemas.calibration import Calibration, Intrinsics
 from ..schemas.errors import CalibrationError, InputError
 from ..schemas.recipe import Denoise, Extract, Grey, Recipe, Triangulate, Undistort
-from .camera import ideal_camera, undistort_points
+from .camera import ideal_camera, numbers_of
 from .denoise import denoise, denoise_at_stripe
 from .extract import extract_stripe, noise_of
 from .grey import to_grey
-from .triangulate import scene_points
-from .uncertainty import sigma_range_mm
+from .scene import Geometry, scene_columns
+from .triangulate import axis_numbers, plane_numbers
+from .uncertainty import factor_of
 from .undistort import FrameUndistorter
 
 Columns = dict[str, npt.NDArray[Any]]
@@ -129,53 +130,55 @@ class PointChain:
         # Without the stage on points, either the frames were undistorted, and what is left is the
         # ideal camera, or the recipe takes the lens for ideal.
         points = any(isinstance(s, Undistort) for s in recipe.point_stages())
-        self._camera = camera if points else ideal_camera(camera)
+        camera = camera if points else ideal_camera(camera)
+        step = next(s for s in recipe.stages if isinstance(s, Triangulate))
+        lasers, joint = calibration.lasers, calibration.joint
+        factors = [factor_of(step.sigma or "total", camera, plane, joint) for plane in lasers]
+        self._geometry = Geometry(
+            camera=numbers_of(camera),
+            lasers=np.array([plane.laser for plane in lasers], np.int64),
+            planes=np.array([plane_numbers(plane) for plane in lasers], np.float64).reshape(-1, 4),
+            factors=_stacked(factors),
+            axis=axis_numbers(calibration.axis_or_fail()),
+            horizontal=recipe.extract().orientation == "horizontal",
+            random=step.sigma != "systematic",
+            limits=(
+                step.min_range_mm,
+                _LARGEST if step.max_range_mm is None else step.max_range_mm,
+                _LARGEST if step.max_radius_mm is None else step.max_radius_mm,
+            ),
+        )
         self._calibration = calibration
-        self._axis = calibration.axis_or_fail()
-        self._step = next(s for s in recipe.stages if isinstance(s, Triangulate))
-        self._horizontal = recipe.extract().orientation == "horizontal"
         #: Stripe points that gave no scene point: behind the plane, out of limits, not invertible.
         self.dropped = 0
 
     def points(self, stripes: Mapping[str, npt.NDArray[Any]]) -> Columns:
-        """POINTS columns from STRIPES columns, in the same order."""
-        along = stripes["u_px"].astype(np.float64)
-        across = stripes["row"].astype(np.float64)
-        u, v = (across, along) if self._horizontal else (along, across)
-        xn, yn = undistort_points(u, v, self._camera)
-        sigma_px = stripes["sigma_u_px"].astype(np.float64)
-        laser = stripes["laser"]
-        xyz, distance, sigma = np.empty((3, len(u))), np.empty(len(u)), np.empty(len(u))
-        lasers = np.unique(laser)
-        for number in lasers:
-            plane = self._calibration.plane_or_fail(int(number))
-            mine = slice(None) if len(lasers) == 1 else laser == number
-            xyz[:, mine], distance[mine] = scene_points(
-                xn[mine], yn[mine], stripes["angle_rad"][mine], plane, self._axis
-            )
-            sigma[mine] = sigma_range_mm(
-                u[mine],
-                v[mine],
-                sigma_px[mine],
-                along_v=self._horizontal,
-                camera=self._camera,
-                plane=plane,
-                joint=self._calibration.joint,
-                share=self._step.sigma or "total",
-            )
-        keep = np.isfinite(distance) & (distance >= self._step.min_range_mm)
-        if self._step.max_range_mm is not None:
-            keep &= distance <= self._step.max_range_mm
-        if self._step.max_radius_mm is not None:
-            keep &= np.hypot(xyz[0], xyz[1]) <= self._step.max_radius_mm
-        self.dropped += int(len(keep) - keep.sum())
-        made = {
-            "x_mm": xyz[0],
-            "y_mm": xyz[1],
-            "z_mm": xyz[2],
-            "range_mm": distance,
-            "sigma_range_mm": sigma,
-        }
+        """POINTS columns from STRIPES columns, in the same order; lengths in the type of ``u_px``.
+
+        Raises
+        ------
+        CalibrationError
+            There is a stripe of a laser whose plane is not known.
+        """
+        made, keep, kept = scene_columns(stripes, self._geometry)
+        lost = len(keep) - kept
+        if lost:
+            for laser in np.unique(stripes["laser"]):
+                self._calibration.plane_or_fail(int(laser))
+        self.dropped += lost
         copied = ("frame", "laser", "row", "angle_rad", "u_px", "amplitude_dn", "width_px", "flags")
         columns = {**{n: stripes[n] for n in copied}, **made}
-        return columns if keep.all() else {k: a[keep] for k, a in columns.items()}
+        return columns if not lost else {k: a[keep] for k, a in columns.items()}
+
+
+#: Stands for a limit that is not set: what is not finite is beyond it.
+_LARGEST = float(np.finfo(np.float64).max)
+
+
+def _stacked(factors: list[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
+    """Factors (14, r) of several lasers as (L, 14, largest r): columns of zeros add nothing."""
+    width = max((f.shape[1] for f in factors), default=0)
+    out = np.zeros((len(factors), 14, width))
+    for one, factor in zip(out, factors, strict=True):
+        one[:, : factor.shape[1]] = factor
+    return out

@@ -15,11 +15,11 @@ import numpy.typing as npt
 
 from ..schemas.calibration import Calibration
 from ..schemas.errors import CalibrationError, InputError
-from ..schemas.events import TurntableAngle
+from ..schemas.events import LogEvent, TurntableAngle
 from ..schemas.recipe import Recipe
-from .batches import BATCH_ROWS
 from .pairing import LitFrame, pair_frames
 from .stages import FrameChain
+from .stripe_columns import StripeColumns
 
 Points = npt.NDArray[Any]
 
@@ -88,7 +88,7 @@ def stripe_parts(
 ) -> Iterator[dict[str, Any]]:
     """STRIPES columns of many frames at a time: the same from a sealed log and from one that grows."""
     chain = FrameChain(recipe, calibration)
-    gathered = _Gathered()
+    columns = StripeColumns()
     vertical = recipe.extract().orientation == "vertical"
 
     def of_camera() -> Iterator[Any]:
@@ -110,53 +110,29 @@ def stripe_parts(
         tally.rows = len(found) * lit.image.shape[0 if vertical else 1]
         tally.rows_with_stripe = sum(len(points) for _, points in found)
         advance(tally)
-        gathered.add(lit, found)
-        if gathered.rows >= BATCH_ROWS:
-            yield gathered.columns()
-            gathered = _Gathered()
-    if gathered.rows:
-        yield gathered.columns()
+        points, laser = _by_row(found)
+        yield from columns.add(
+            points,
+            frame=lit.frame,
+            t_ns=lit.t_ns,
+            # Within one turn, where float32 is good to 3e-7 rad.
+            angle_rad=math.fmod(lit.angle_rad, math.tau),
+            laser=laser,
+        )
+    yield from columns.rest()
 
 
-class _Gathered:
-    """Stripe points of frames, held as they come, and made into columns when there are enough."""
-
-    def __init__(self) -> None:
-        self.rows = 0
-        self._points: list[Points] = []
-        # Of every piece: frame, time, laser, angle, number of points.
-        self._heads: list[tuple[int, int, int, float, int]] = []
-
-    def add(self, lit: LitFrame, found: list[tuple[int, Points]]) -> None:
-        """One frame's stripe points of all lasers, in the order of rows."""
-        # Within one turn, where float32 is good to 3e-7 rad.
-        angle_rad = math.fmod(lit.angle_rad, math.tau)
-        for laser, points in found if len(found) == 1 else _by_row(found):
-            self._points.append(points)
-            self._heads.append((lit.frame, lit.t_ns, laser, angle_rad, len(points)))
-            self.rows += len(points)
-
-    def columns(self) -> dict[str, Any]:
-        """The columns of STRIPES."""
-        frame, t_ns, laser, angle_rad, count = zip(*self._heads, strict=True)
-        points = np.concatenate(self._points)
-        return {
-            "frame": np.repeat(np.array(frame, np.uint32), count),
-            "t_ns": np.repeat(np.array(t_ns, np.int64), count),
-            "laser": np.repeat(np.array(laser, np.uint8), count),
-            "angle_rad": np.repeat(np.array(angle_rad, np.float32), count),
-            **{name: points[name] for name in points.dtype.names or ()},
-        }
-
-
-def _by_row(found: list[tuple[int, Points]]) -> Iterator[tuple[int, Points]]:
-    """The points of several lasers merged by row, in pieces of one point; in a row by laser."""
-    points = np.concatenate([p for _, p in found])
-    laser = np.concatenate([np.full(len(p), n, np.uint8) for n, p in found])
-    for i in np.argsort(points["row"], kind="stable"):
-        yield int(laser[i]), points[i : i + 1]
+def _by_row(found: list[tuple[int, Points]]) -> tuple[Points, int | npt.NDArray[np.uint8]]:
+    """The points of all lasers and the laser of each, in the order of rows; in a row by laser."""
+    if len(found) == 1:
+        ((laser, points),) = found
+        return points, laser
+    together = np.concatenate([p for _, p in found])
+    lasers = np.concatenate([np.full(len(p), n, np.uint8) for n, p in found])
+    order = np.argsort(together["row"], kind="stable")
+    return together[order], lasers[order]
 
 
 def _is_frame(item: Any, camera: str) -> bool:
-    """Whether an item of a log is a frame of ``camera``; of the events none has pixels."""
-    return hasattr(item, "decode") and item.camera == camera
+    """Whether an item of a log is a frame of ``camera``: what is no event."""
+    return not isinstance(item, LogEvent) and item.camera == camera

@@ -65,42 +65,47 @@ def scene_points(
 
     NaN for a ray along the laser plane, or one that meets it behind the camera.
     """
-    rotation = turntable_from_camera(axis)
-    nx, ny, nz = plane.normal
-    plane_numbers = (float(nx), float(ny), float(nz), float(plane.distance_mm))
     xyz, distance = np.empty((3, len(xn)), np.float64), np.empty(len(xn), np.float64)
-    _scene_points(
+    scene_points_into(
         xn,
         yn,
         np.asarray(angle_rad, np.float64),
-        plane_numbers,
-        rotation.rotation,
-        rotation.translation_mm,
-        float(axis.turn_sign()),
+        plane_numbers(plane),
+        axis_numbers(axis),
         xyz,
         distance,
     )
     return xyz, distance
 
 
+def plane_numbers(plane: LaserPlane) -> tuple[float, float, float, float]:
+    """nx, ny, nz and distance_mm, as the kernels take them."""
+    nx, ny, nz = plane.normal
+    return float(nx), float(ny), float(nz), float(plane.distance_mm)
+
+
+def axis_numbers(axis: TurntableAxis) -> Floats:
+    """turntable_from_camera, row by row, then its shift in mm, then the sign of the turn: (13,)."""
+    rigid = turntable_from_camera(axis)
+    return np.array([*rigid.rotation.ravel(), *rigid.translation_mm, axis.turn_sign()], np.float64)
+
+
 @exact_kernel
-def _scene_points(
+def scene_points_into(
     xn: Floats,
     yn: Floats,
     angle_rad: Floats,
     plane: tuple[float, float, float, float],
-    rotation: Floats,
-    translation_mm: Floats,
-    sign: float,
+    axis: Floats,
     xyz: Floats,
     distance: Floats,
 ) -> None:
+    """As :func:`scene_points`, into ``xyz`` (3, at least N) and ``distance``."""
     n = len(xn)
     nx, ny, nz, h = plane
-    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
-    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
-    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    t0, t1, t2 = translation_mm[0], translation_mm[1], translation_mm[2]
+    r00, r01, r02, r10, r11, r12 = axis[0], axis[1], axis[2], axis[3], axis[4], axis[5]
+    r20, r21, r22, t0, t1, t2 = axis[6], axis[7], axis[8], axis[9], axis[10], axis[11]
+    sign = axis[12]
     cos, sin = np.empty(n, np.float64), np.empty(n, np.float64)
     last, c, s = np.nan, 1.0, 0.0
     for i in range(n):

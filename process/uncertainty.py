@@ -17,8 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..schemas.calibration import Intrinsics, Joint, LaserPlane
-from .camera import distortion_jacobian, undistort_points
-from .triangulate import intersect, range_of
+from .camera import distortion_jacobian, numbers_of, undistort_points
+from .deviation import sigma_range_into
+from .triangulate import intersect, plane_numbers, range_of
 
 Floats = npt.NDArray[np.float64]
 Share = Literal["total", "random", "systematic"]
@@ -41,15 +42,21 @@ def sigma_range_mm(
     without a covariance count as exact; NaN where ``sigma_px`` is NaN, unless only the ``systematic``
     share is asked for. ``joint``, if it knows camera and plane, stands for their own covariances.
     """
-    by_pixel, slopes = range_slopes(u_px, v_px, along_v=along_v, camera=camera, plane=plane)
-    variance = np.zeros(len(by_pixel))
-    if share != "systematic":
-        variance = (by_pixel * sigma_px) ** 2
-    if share != "random":
-        factor = covariance_factor(camera, plane, joint)
-        # The rays outside the lens model keep their NaN even where nothing is uncertain.
-        variance = variance + np.square(slopes @ factor).sum(axis=1) + 0.0 * by_pixel
-    return np.sqrt(variance)
+    pixels = np.array([u_px, v_px], np.float64)
+    rays = np.array(undistort_points(pixels[0], pixels[1], camera))
+    sigma = np.empty(pixels.shape[1], np.float64)
+    numbers = numbers_of(camera), plane_numbers(plane)
+    factor, random = factor_of(share, camera, plane, joint), share != "systematic"
+    sigma_px = np.ascontiguousarray(sigma_px, np.float64)
+    sigma_range_into(rays, pixels, sigma_px, along_v, random, *numbers, factor, sigma)
+    return sigma
+
+
+def factor_of(
+    share: Share, camera: Intrinsics, plane: LaserPlane, joint: Joint | None = None
+) -> Floats:
+    """:func:`covariance_factor`, or (14, 0) where ``share`` leaves the calibration out."""
+    return np.empty((14, 0)) if share == "random" else covariance_factor(camera, plane, joint)
 
 
 def covariance_factor(camera: Intrinsics, plane: LaserPlane, joint: Joint | None = None) -> Floats:

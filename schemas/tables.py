@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntFlag
+from functools import cache
 from typing import TYPE_CHECKING
 
 from .errors import DamageError
@@ -56,18 +57,7 @@ class TableSpec:
 
     def arrow_schema(self) -> pa.Schema:
         """The Arrow schema, with unit and description in each field's metadata."""
-        import pyarrow as pa
-
-        fields = [
-            pa.field(
-                c.name,
-                pa.type_for_alias(c.type),
-                nullable=False,
-                metadata={"unit": c.unit, "description": c.description},
-            )
-            for c in self.columns
-        ]
-        return pa.schema(fields)
+        return _arrow_schema(self.columns)
 
     def conform(self, table: pa.Table, *, where: str) -> pa.Table:
         """``table`` with exactly these columns, order, types and field metadata.
@@ -101,6 +91,22 @@ class TableSpec:
                 raise DamageError(f"{where}: column {column.name} holds {array.null_count} nulls")
             arrays.append(array)
         return pa.table(arrays, schema=schema.with_metadata(table.schema.metadata))
+
+
+@cache
+def _arrow_schema(columns: tuple[Column, ...]) -> pa.Schema:
+    import pyarrow as pa
+
+    fields = [
+        pa.field(
+            c.name,
+            pa.type_for_alias(c.type),
+            nullable=False,
+            metadata={"unit": c.unit, "description": c.description},
+        )
+        for c in columns
+    ]
+    return pa.schema(fields)
 
 
 _FRAME = Column("frame", "uint32", "", "number of the frame in the scan, from 0")

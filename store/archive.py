@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sqlite3
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +34,7 @@ from .bytes import LocalFolder
 from .calibrations import Calibrations, Dated, Effective
 from .catalog import Catalog, Row, put
 from .certifying import Certifying, Change, changes, consider, scans_of_rig
-from .derivations import publish, read_batches
+from .derivations import TableDraft, drafting, read_batches
 from .drafts import ScanDraft
 from .log_digest import LogFacts
 from .log_reader import ScanLog
@@ -341,7 +342,9 @@ class Archive:
                 yield Plan(
                     scan=scan,
                     recipe=recipe,
+                    recipe_id=maker.recipe_id,
                     calibration=effective.calibration,
+                    calibration_id=maker.calibration_id(effective.calibration),
                     why_calibration=effective.why,
                     stripes_key=keys.stripes,
                     stripes_parts=keys.stripes_parts,
@@ -377,17 +380,24 @@ class Archive:
         """In one line, which input differs from what was derived before; empty if nothing does."""
         return "" if plan.done else why_stale(plan, self.derivations(plan.scan.scan))
 
-    def why_missing(self, plan: Plan, kind: str) -> str:
-        """In words, which input of ``kind`` differs from what was derived before."""
-        return what_changed(plan, kind, self.derivations(plan.scan.scan))
+    def why_missing(self, plan: Plan) -> dict[str, str]:
+        """Kind of what is missing -> in words, which input differs from what was derived before."""
+        earlier = self.derivations(plan.scan.scan)
+        return {kind: what_changed(plan, kind, earlier) for kind in plan.missing}
 
-    def publish(
-        self, kind: Kind, batches: Iterator[pa.RecordBatch], fields: Callable[[], dict[str, Any]]
-    ) -> DerivationManifest:
-        """Write, publish and enter one derivation; see :func:`store.derivations.publish`."""
-        manifest = publish(self.store, kind, batches, fields)
-        self.catalog.enter(lambda c: put(c, "derivations", derivation_row(manifest)))
-        return manifest
+    def draft(self, kind: Kind, *, behind: bool) -> AbstractContextManager[TableDraft]:
+        """A new derivation to be written: see :func:`store.derivations.drafting`."""
+        return drafting(self.store, kind, behind=behind)
+
+    def enter(self, manifests: Sequence[DerivationManifest]) -> None:
+        """Enter derivations that were published into the catalogue."""
+        rows = [derivation_row(m) for m in manifests]
+
+        def entry(c: sqlite3.Connection) -> None:
+            for row in rows:
+                put(c, "derivations", row)
+
+        self.catalog.enter(entry)
 
     def read(self, manifest: DerivationManifest) -> Iterator[pa.RecordBatch]:
         """Rows of a derivation, a row group at a time, page checksums compared."""

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,16 +16,15 @@ from ..schemas.document import dump_json
 from ..schemas.errors import DamageError
 from ..schemas.manifests import DerivationManifest, Kind
 from ..schemas.software import __version__
-from ..schemas.tables import TABLES, TableSpec
+from ..schemas.tables import TABLES
 from . import layout
-from .bytes import LocalFolder, storage_error
+from .bytes import LocalFolder
 from .drafts import file_sha256
 from .projection import read_manifest
+from .table_file import TableFile
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-ROW_GROUP_ROWS = 262_144
 
 
 @cache
@@ -41,137 +41,80 @@ def made_with() -> Mapping[str, str]:
     }
 
 
-def write_parquet(
-    path: Path,
-    spec: TableSpec,
-    batches: Iterable[pa.RecordBatch],
-    about: Callable[[], dict[str, str]],
-) -> int:
-    """Write ``batches`` of ``spec`` to ``path`` and return the number of rows.
+class TableDraft:
+    """One derivation while it is written, aside; :meth:`publish` gives it its name.
 
-    Rows must come sorted by the table's order; each batch is checked. Only one row group is held
-    in memory. ``about`` is asked after the last batch: what the file says of itself stands at its end.
-    The bytes depend on the rows, ``about`` and the library alone.
+    ``fields`` of its manifest are those of :class:`DerivationManifest` but kind, path, rows, bytes,
+    sha256, created_ns, duration_s, made_with and table_version.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
 
-    schema = spec.arrow_schema().with_metadata(
-        {"turnscan.table": spec.name, "turnscan.table_version": str(spec.version)}
-    )
-    floats = [c.name for c in spec.columns if c.type.startswith("float")]
-    order = [pq.SortingColumn(schema.get_field_index(name)) for name in spec.sort_by]
-    rows = 0
-    check = _OrderCheck(spec, str(path))
-    with pq.ParquetWriter(
-        path,
-        schema,
-        compression="zstd",
-        compression_level=1,
-        use_dictionary=[c.name for c in spec.columns if c.name not in floats],
-        column_encoding=dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
-        write_page_index=True,
-        write_page_checksum=True,
-        sorting_columns=order,
-    ) as writer:
-        held: list[Any] = []
-        count = 0
-        for batch in batches:
-            table = spec.conform(pa.Table.from_batches([batch]), where=str(path))
-            check.follow(table)
-            rows += table.num_rows
-            at = 0
-            while at < table.num_rows:
-                piece = table.slice(at, ROW_GROUP_ROWS - count)
-                held.append(piece)
-                count += piece.num_rows
-                at += piece.num_rows
-                if count == ROW_GROUP_ROWS:
-                    writer.write_table(_joined(held, schema), row_group_size=ROW_GROUP_ROWS)
-                    held, count = [], 0
-        if held:
-            writer.write_table(_joined(held, schema), row_group_size=ROW_GROUP_ROWS)
-        writer.add_key_value_metadata(about())
-    return rows
+    def __init__(self, store: LocalFolder, kind: Kind, file: TableFile) -> None:
+        self._store = store
+        self._kind = kind
+        self._file = file
+        self._began = time.monotonic()
+        self._fields: Mapping[str, Any] = {}
+        self._finished: Callable[[], tuple[int, str]] | None = None
 
+    @property
+    def rows(self) -> int:
+        """Rows taken so far."""
+        return self._file.rows
 
-def _joined(pieces: list[pa.Table], schema: pa.Schema) -> pa.Table:
-    import pyarrow as pa
+    def take(self, batch: pa.RecordBatch) -> None:
+        """Add rows, sorted by the table's order; see :meth:`TableFile.take`."""
+        self._file.take(batch)
 
-    joined = pa.concat_tables([p.replace_schema_metadata(None) for p in pieces]).combine_chunks()
-    return joined.cast(schema)
+    def finish(self, fields: Mapping[str, Any]) -> None:
+        """All rows were taken: write the end of the file, in the background if it is large."""
+        about = {f"turnscan.{k}": str(fields[k]) for k in ("key", "scan", "recipe")}
+        self._fields = fields
+        self._finished = self._file.finish(about)
 
+    def publish(self) -> DerivationManifest:
+        """Publish and seal what :meth:`finish` ended; returns the manifest that stands.
 
-class _OrderCheck:
-    """Rows must be sorted by (frame, row): readers and engines rely on it."""
-
-    def __init__(self, spec: TableSpec, where: str) -> None:
-        self._names = spec.sort_by
-        self._where = where
-        self._last: tuple[int, int] | None = None
-
-    def follow(self, table: pa.Table) -> None:
-        import numpy as np
-
-        if not table.num_rows:
-            return
-        major, minor = (table.column(n).to_numpy().astype(np.int64) for n in self._names)
-        step = (major << 32) | minor
-        first = (int(major[0]), int(minor[0]))
-        if np.any(np.diff(step) < 0) or (self._last is not None and first < self._last):
-            raise DamageError(f"{self._where}: rows are not sorted by {', '.join(self._names)}")
-        self._last = (int(major[-1]), int(minor[-1]))
-
-
-def publish(
-    store: LocalFolder,
-    kind: Kind,
-    batches: Iterable[pa.RecordBatch],
-    fields: Callable[[], dict[str, Any]],
-) -> DerivationManifest:
-    """Write, publish and seal one derivation; returns the manifest that stands.
-
-    ``fields`` is called once, when the last batch has been taken (so a table can be begun before its
-    key is known), and gives those of :class:`DerivationManifest` but kind, path, rows, bytes, sha256,
-    created_ns, duration_s, made_with and table_version. If another process published the same key
-    first, its result stands and ours is dropped.
-    """
-    began = time.monotonic()
-    spec = TABLES[kind]
-    values: dict[str, Any] = {}
-
-    def about() -> dict[str, str]:
-        values.update(fields())
-        return {f"turnscan.{k}": str(values[k]) for k in ("key", "scan", "recipe")}
-
-    with store.staged(".parquet") as aside:
-        try:
-            rows = write_parquet(aside, spec, batches, about)
-            size, sha256 = aside.stat().st_size, file_sha256(aside)
-        except OSError as error:
-            raise storage_error(error, aside) from error
+        If another process published the same key first, its result stands and ours is dropped.
+        """
+        assert self._finished is not None, "finish() comes first"
+        size, sha256 = self._finished()
+        values = self._fields
         folder = layout.derivation_folder(
-            kind,
+            self._kind,
             recipe=values["recipe"],
             calibration=values["calibration"],
             scan=values["scan"],
         )
-        table_path = layout.table_file(folder, values["key"])
         manifest_path = layout.manifest_file(folder, values["key"])
         manifest = DerivationManifest(
-            kind=kind,
+            kind=self._kind,
             **values,
-            path=table_path,
-            table_version=spec.version,
-            rows=rows,
+            path=layout.table_file(folder, values["key"]),
+            table_version=TABLES[self._kind].version,
+            rows=self.rows,
             bytes=size,
             sha256=sha256,
             created_ns=time.time_ns(),
-            duration_s=round(time.monotonic() - began, 3),
+            duration_s=round(time.monotonic() - self._began, 3),
             made_with=dict(made_with()),
         ).sealed()
-        with store.holding(alone=False):
-            return _put(store, manifest, manifest_path, aside)
+        with self._store.holding(alone=False):
+            return _put(self._store, manifest, manifest_path, self._file.path)
+
+
+@contextmanager
+def drafting(store: LocalFolder, kind: Kind, *, behind: bool) -> Iterator[TableDraft]:
+    """A draft of one derived table; what was not published at the end is removed.
+
+    ``behind``: row groups are compressed and written in a thread of their own.
+
+    Raises
+    ------
+    StorageError
+        The disk refuses.
+    """
+    with store.staged(".parquet") as aside, TableFile(aside, TABLES[kind], behind=behind) as file:
+        yield TableDraft(store, kind, file)
 
 
 def _put(

@@ -247,7 +247,8 @@ class RecordWalk:
     def __init__(self, path: Path, growth: Growth | None = None, *, ahead: bool = False) -> None:
         self.path = path
         self._growth = growth
-        self._pool = ThreadPoolExecutor(1, "decompress") if ahead else None
+        self._ahead = ahead
+        self._pool: ThreadPoolExecutor | None = None
         self.profile = ""
         self.library = ""
 
@@ -257,9 +258,7 @@ class RecordWalk:
                 size = file.seek(0, io.SEEK_END)
                 file.seek(0)
                 yield from (
-                    self._walk(file, size)
-                    if self._pool is None
-                    else self._in_order(self._walk(file, size))
+                    self._in_order(self._walk(file, size)) if self._ahead else self._walk(file, size)
                 )
         except FileNotFoundError as error:
             raise StorageError(f"{self.path}: no such file") from error
@@ -282,15 +281,18 @@ class RecordWalk:
                 else:
                     yield offset, record
 
-        try:
-            for step in walk:
-                waiting.append(step)
-                if isinstance(step[1], Future):
-                    yield from until(1)
-        except (DamageError, OSError):
-            # What stands before the fault comes first, as it does without the thread.
-            yield from until(0)
-            raise
+        while True:
+            try:
+                step = next(walk, None)
+            except (DamageError, OSError):
+                # What stands before the fault comes first, as it does without the thread.
+                yield from until(0)
+                raise
+            if step is None:
+                break
+            waiting.append(step)
+            if isinstance(step[1], Future):
+                yield from until(1)
         yield from until(0)
 
     def _walk(self, file: Any, size: int) -> Iterator[tuple[int, Any]]:
@@ -349,6 +351,9 @@ class RecordWalk:
             return
         for record in chunk_records(body, self.path, offset, strict=strict):
             yield offset, record
+        if self._ahead:
+            # From the second chunk on: many scans are so small that they have no other.
+            self._pool = ThreadPoolExecutor(1, "decompress")
 
     def _reach(self, wanted: int | None, size: int) -> int:
         """The file's size, after waiting for ``wanted`` bytes of a file that grows."""

@@ -20,7 +20,9 @@ class Plan:
 
     scan: ScanSummary
     recipe: Recipe
+    recipe_id: str
     calibration: Calibration
+    calibration_id: str
     why_calibration: str
     stripes_key: str
     stripes_parts: dict[str, str]
@@ -57,18 +59,27 @@ class Keys:
 
 
 class KeyMaker:
-    """The keys of one recipe on many scans; the digests of a calibration's parts are taken once."""
+    """The keys of one recipe on many scans; digests of calibrations and their parts are taken once."""
 
     def __init__(self, recipe: Recipe) -> None:
         self._recipe = recipe
+        self.recipe_id = recipe.recipe_id()
         # The calibration is held beside its ids: an object that is gone may leave its id() to another.
-        self._part_ids: dict[int, tuple[Calibration, dict[str, str]]] = {}
+        self._ids: dict[int, tuple[Calibration, str, dict[str, str]]] = {}
+
+    def _ids_of(self, calibration: Calibration) -> tuple[Calibration, str, dict[str, str]]:
+        at = id(calibration)
+        if at not in self._ids:
+            self._ids[at] = (calibration, calibration.calibration_id(), calibration.part_ids())
+        return self._ids[at]
+
+    def calibration_id(self, calibration: Calibration) -> str:
+        """The id of ``calibration``."""
+        return self._ids_of(calibration)[1]
 
     def keys(self, scan: ScanSummary, calibration: Calibration) -> Keys:
         """The keys of the recipe on ``scan`` with ``calibration``."""
-        if id(calibration) not in self._part_ids:
-            self._part_ids[id(calibration)] = (calibration, calibration.part_ids())
-        _, part_ids = self._part_ids[id(calibration)]
+        _, _, part_ids = self._ids_of(calibration)
         stripes, stripes_parts = stripes_key(
             self._recipe,
             content_sha256=scan.content_sha256,
@@ -114,11 +125,11 @@ def _changes(plan: Plan, kind: str, earlier: list[DerivationManifest]) -> list[s
     mine = [m for m in earlier if m.kind == kind]
     if not mine:
         return ["never derived"]
-    same_recipe = [m for m in mine if m.recipe == plan.recipe.recipe_id()]
+    same_recipe = [m for m in mine if m.recipe == plan.recipe_id]
     if not same_recipe:
         names = sorted({str(m.recipe_document.get("name", m.recipe)) for m in mine})
         known = ", ".join(names)
-        new = f"{plan.recipe.name} ({plan.recipe.recipe_id()})"
+        new = f"{plan.recipe.name} ({plan.recipe_id})"
         return [f"recipe changed: {new} is new here, known: {known}"]
     newest = max(same_recipe, key=lambda m: m.created_ns)
     return _differences(plan, kind, newest) or ["derived before, but its table is gone"]
@@ -132,7 +143,7 @@ def _differences(plan: Plan, kind: str, old: DerivationManifest) -> list[str]:
     changed = [r for r in sorted({*old.parts, *parts}) if old.parts.get(r) != parts.get(r)]
     if changed:
         then = f"{old.calibration} to " if old.calibration else ""
-        names = f"{then}{plan.calibration.calibration_id()}"
+        names = f"{then}{plan.calibration_id}"
         out.append(f"calibration changed: {', '.join(changed)} ({names})")
     stages = plan.recipe.frame_stages() if kind == "stripes" else plan.recipe.point_stages()
     for now, before in zip(stage_records(stages), old.stages, strict=False):
