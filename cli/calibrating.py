@@ -154,7 +154,8 @@ def calibrate_camera_command(
     """
     shape = parse_board(board, pattern, square_mm, marker_mm, dictionary, legacy=legacy)
     check_free(out, picture, corners, observations, overwrite=overwrite)
-    from ..process.calibrate.camera import calibrate_camera, check_enough
+    from ..process.calibrate.camera import calibrate_camera
+    from ..process.calibrate.camera_checks import check_enough
     from ..process.calibrate.camera_quality import CameraLimits, camera_quality
     from ..schemas.calibration import Calibration
 

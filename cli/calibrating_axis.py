@@ -15,12 +15,11 @@ from .calibrating_geometry import (
     ChannelOption,
     ChannelWord,
     SeedOption,
-    judged_fields,
-    read_inputs,
-    say_quality,
     used_inputs,
 )
-from .calibration_inputs import ImagesArgument, Picture
+from .calibration_angles import check_angles, read_turned
+from .calibration_axis_report import show_axis
+from .calibration_inputs import EveryOption, ImagesArgument, ScanOption
 from .calibration_observations import ObservationsOption, write_observations
 from .calibration_output import (
     DryRunOption,
@@ -42,7 +41,7 @@ from .calibration_words import (
     SquareOption,
     parse_board,
 )
-from .output import Format, FormatOption, JsonOption, chosen, current_session, emit, emit_object
+from .output import Format, FormatOption, JsonOption, chosen, current_session
 from .places import read_calibration_file
 
 if TYPE_CHECKING:
@@ -50,7 +49,6 @@ if TYPE_CHECKING:
     from ..process.calibrate.table_scale import TableScale
     from ..schemas.board import Board
     from ..schemas.calibration import Calibration
-    from ..schemas.quality import Quality
 
 
 class HeadWord(StrEnum):
@@ -71,8 +69,10 @@ class ScaleWord(StrEnum):
 def calibrate_axis_command(
     calibration: CalibrationInOption,
     images: ImagesArgument = None,
+    scan: ScanOption = None,
+    every: EveryOption = 1,
     step_deg: Annotated[
-        float | None, typer.Option("--step-deg", help="Turn between two frames, in degrees.")
+        float | None, typer.Option("--step-deg", help="Turn between two images, in degrees.")
     ] = None,
     start_deg: Annotated[float, typer.Option("--start-deg", help="Angle of the first.")] = 0.0,
     angles: Annotated[
@@ -130,27 +130,28 @@ def calibrate_axis_command(
 ) -> None:
     """Estimate the turntable's axis from a board or markers at several angles.
 
-    Where they stand on the table, and every angle, are estimated along with the axis; nominal angles
+    With --scan the frames and their angles are those of a scan in the archive. Where the markers or the
+    board stand on the table, and every angle, are estimated along with the axis; nominal angles
     are a prior of --angle-sd-deg. Which way the angle counts is found from the frames. If a laser's
     plane is known and its stripe crosses the markers, it says how large they really are.
     """
     check_free(out, picture, observations, overwrite=overwrite)
-    if (step_deg is None) == (angles is None):
-        raise UsageError("give either --step-deg or --angles", hint="angles are never guessed")
+    check_angles(images, scan, step_deg, angles)
     shape = _axis_target(
         markers, marker_side_mm, board, pattern, square_mm, marker_mm, dictionary, legacy
     )
     from ..process.calibrate.axis import fit_axis
     from ..process.calibrate.axis_views import watch_board, watch_markers
+    from ..process.calibrate.chained import chained
     from ..process.calibrate.geometry_quality import AxisLimits, axis_quality
     from ..schemas.quality import LeftOut, joined_quality, without_joint
 
     document = read_calibration_file(calibration)
     camera = document.intrinsics_or_fail()
-    found, unused = read_inputs(images, None, 1)
+    turned = read_turned(images, scan, every, step_deg=step_deg, start_deg=start_deg, table=angles)
+    unused = list(turned.left_out)
     say_left_out(unused)
-    nominal = _angles(found, images or [], step_deg, start_deg, angles)
-    pixels = [(p.name, p.image) for p in found if p.image is not None]
+    pixels = [(p.name, p.image) for p in turned.pictures if p.image is not None]
     if shape is not None:
         watched = watch_board(pixels, shape, camera)
     else:
@@ -164,7 +165,7 @@ def calibrate_axis_command(
     fit = fit_axis(
         watched.sightings,
         names,
-        nominal,
+        turned.angles_rad,
         camera,
         head=head.value,
         angle_sd_rad=math.radians(angle_sd_deg),
@@ -199,18 +200,16 @@ def calibrate_axis_command(
         method=method,
         scale=sized,
         left_out=unused,
-        inputs=used_inputs(found, used),
+        inputs=used_inputs(turned.pictures, used),
         notes=notes,
     )
-    result = document.model_copy(
+    result = chained(document, [fit.follower()]).model_copy(
         update={
-            "turntable": fit.turntable_axis(),
-            "joint": None,
             "quality": joined_quality(without_joint(document.quality), quality),
             "note": note or document.note,
         }
     )
-    _show_axis(fit, sized, quality, result, chosen(style, as_json))
+    show_axis(fit, sized, quality, result, chosen(style, as_json))
     if observations is not None and not dry_run:
         from ..process.calibrate.observed import one_observation, turning_of
 
@@ -226,30 +225,6 @@ def calibrate_axis_command(
         shown = dict(pixels).get(fit.frames[0].name)
         draw_axis(fit, quality, camera, shown, picture)
     conclude(result, (quality,), None if dry_run else out)
-
-
-def _angles(
-    found: list[Picture],
-    images: list[str],
-    step_deg: float | None,
-    start_deg: float,
-    table: Path | None,
-) -> list[float]:
-    """Nominal angle in rad of every picture that has pixels."""
-    from ..ingest.image_sources import find_images
-    from ..ingest.poses import poses_by_step, poses_from_csv
-
-    paths, _ = find_images(list(images))
-    if table is not None:
-        given = {p.path: p.angle_deg for p in poses_from_csv(paths, table)}
-    else:
-        assert step_deg is not None
-        given = {
-            p.path: p.angle_deg for p in poses_by_step(paths, step_deg=step_deg, start_deg=start_deg)
-        }
-    return [
-        math.radians(given[path]) for path, p in zip(paths, found, strict=True) if p.image is not None
-    ]
 
 
 def _axis_target(
@@ -310,55 +285,3 @@ def _sized(
         )
     notes.append(f"the markers' size is taken as stated ({why}): its error is the axis' error")
     return None
-
-
-def _show_axis(
-    fit: AxisFit, sized: TableScale | None, quality: Quality, result: Calibration, style: Format
-) -> None:
-    import numpy as np
-
-    sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    names = ("point_x_mm", "point_y_mm", "point_z_mm", "direction_x", "direction_y", "direction_z")
-    values = (*fit.point_mm, *fit.direction)
-    rows = [
-        {"parameter": n, "value": float(v), "sigma": float(s)}
-        for n, v, s in zip(names, values, sigma, strict=True)
-    ]
-    frames = [
-        {
-            "frame": f.name,
-            "nominal_deg": math.degrees(f.nominal_rad),
-            "angle_deg": math.degrees(f.angle_rad),
-            "off_deg": math.degrees(f.off_rad),
-            "rms_px": f.rms_px,
-            "tilt_deg": math.degrees(f.tilt_rad),
-            "shift_mm": math.hypot(*f.shift_mm),
-            "rise_mm": f.rise_mm,
-            "points": f.points,
-        }
-        for f in fit.frames
-    ]
-    if style is not Format.json:
-        emit(rows, ["parameter", "value", "sigma"], style)
-        if style is Format.table:
-            current_session().say(f"positive angles turn {fit.positive_turn}, head {fit.head}")
-            say_quality(quality)
-        return
-    shown: dict[str, Any] = {
-        "calibration": result.calibration_id(),
-        "parameters": rows,
-        "covariance": fit.covariance.tolist(),
-        "positive_turn": fit.positive_turn,
-        "head": fit.head,
-        "rms_px": fit.rms_px,
-        "angle_scale": fit.angle_scale,
-        "step_sd_deg": math.degrees(fit.step_sd_rad),
-        "eccentricity_deg": math.degrees(fit.eccentricity_rad),
-        "wobble_deg": math.degrees(fit.wobble_rad),
-        "wander_mm": fit.wander_mm,
-        "marker_scale": None if sized is None else sized.scale,
-        "marker_scale_sigma": None if sized is None else math.sqrt(sized.own_variance),
-        "frames": frames,
-        **judged_fields(quality),
-    }
-    emit_object(shown, style)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -53,7 +54,7 @@ def read_inputs(
     return found, [LeftOut(what=p.name, why=p.problem) for p in found if p.image is None]
 
 
-def used_inputs(found: list[Picture], used: set[str]) -> list[EstimationInput]:
+def used_inputs(found: Sequence[Picture], used: set[str]) -> list[EstimationInput]:
     """The inputs that were used, with their digests."""
     from ..schemas.quality import EstimationInput
 

@@ -108,6 +108,7 @@ def calibrate_plane_command(
     """
     shape = parse_board(board, pattern, square_mm, marker_mm, dictionary, legacy=legacy)
     check_free(out, picture, observations, overwrite=overwrite)
+    from ..process.calibrate.chained import chained
     from ..process.calibrate.geometry_quality import PlaneLimits, plane_quality
     from ..process.calibrate.plane import fit_planes
     from ..process.calibrate.plane_views import watch
@@ -140,19 +141,17 @@ def calibrate_plane_command(
         least_tilt_deg=min_tilt_deg,
     )
     inputs = used_inputs(found, {v.name for v in watched.views})
-    judged, planes = [], {p.laser: p for p in document.lasers}
+    judged = []
     for number, fit in zip(numbers, fits, strict=True):
         say_left_out([LeftOut(what=a, why=b) for a, b in fit.left_out])
-        planes[number] = fit.laser_plane(number)
         method = f"{shape.describe()}; {fit.used} views; stripe in {watched.channel}"
         judged.append(
             plane_quality(fit, number, limits, method=method, left_out=unused, inputs=inputs,
                           intrinsics_known=camera.covariance is not None)
         )  # fmt: skip
-    result = document.model_copy(
+    followers = [fit.follower(number) for number, fit in zip(numbers, fits, strict=True)]
+    result = chained(document, followers).model_copy(
         update={
-            "lasers": tuple(planes[n] for n in sorted(planes)),
-            "joint": None,
             "quality": joined_quality(without_joint(document.quality), *judged),
             "note": note or document.note,
         }

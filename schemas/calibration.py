@@ -249,7 +249,7 @@ class Calibration(Model):
     turntable: TurntableAxis | None = None
     # None, and so absent from the digest, in documents that nobody judged.
     quality: Annotated[tuple[Quality, ...], Field(min_length=1)] | None = None
-    # None in documents whose parts were estimated one after the other.
+    # None where the parts share nothing, or what they share is not known.
     joint: Joint | None = None
 
     @model_validator(mode="after")

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from ...schemas.calibration import Head, Intrinsics, Turn, TurntableAxis
 from .axis_adjust import Adjusted, Prior, Sightings, Turning, moved_by
+from .chained import Follower
 from .intrinsics_slopes import pixel_slopes
 from .pose import project_with_slopes, skew_of
 
@@ -48,6 +49,7 @@ class AxisFit:
     about it, ``eccentricity_rad`` the once-a-turn part of the angle error (NaN for less than half a
     turn or eight frames).
     ``plane`` is the unit normal (up) and distance of the plane that the bodies lie in, or None.
+    ``own_size``: the bodies' size is as stated, not as a laser sees it.
     """
 
     point_mm: Floats
@@ -68,6 +70,7 @@ class AxisFit:
     residual_px: Floats
     plane: tuple[Floats, float] | None
     left_out: tuple[tuple[str, str], ...]
+    own_size: bool = True
 
     @property
     def rms_px(self) -> float:
@@ -122,7 +125,13 @@ class AxisFit:
             sightings=moved,
             plane=plane,
             frames=frames,
+            own_size=False,
         )
+
+    def follower(self) -> Follower:
+        """The part, and how it follows the camera; not known where the laser gave the size."""
+        by = {"intrinsics": self.by_intrinsics} if self.own_size else None
+        return Follower(self.turntable_axis(), self.conditional, by)
 
     def turntable_axis(self) -> TurntableAxis:
         """The part of a calibration document."""

@@ -6,7 +6,6 @@ our own least squares, because OpenCV has no skew. Every corner counts the same 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -14,12 +13,18 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from ...schemas.board import Board
 from ...schemas.calibration import Intrinsics
-from ...schemas.errors import CalibrationError, InputError
+from ...schemas.errors import CalibrationError
 from ...schemas.quality import LeftOut
 from .boards import BoardView
 from .bundle import Bundle, solve_bundle
+from .camera_checks import (
+    FEWEST_VIEWS,
+    PARALLEL_DEG,
+    check_views,
+    explain_parallel,
+    largest_angle_deg,
+)
 from .covariance import Uncertainty, uncertainty_of
 from .projection import NAMES
 from .start import Fix, start_camera
@@ -29,10 +34,6 @@ Floats = npt.NDArray[np.float64]
 
 #: What may be held: fx = fy, the principal point in the middle, the rest at zero.
 FIXABLE: tuple[Fix, ...] = ("skew", "aspect", "principal-point", "k1", "k2", "p1", "p2", "k3")
-FEWEST_VIEWS = 3
-_NO_BOARD = Board(cols=3, rows=3, square_x_mm=1.0, square_y_mm=1.0)
-#: Views whose normals differ by less are parallel: f and distance cannot be told apart.
-PARALLEL_DEG = 3.0
 #: Where more than this share of the views contradict the rest, nobody knows who is right.
 _MOST_LEFT_OUT = 1 / 3
 
@@ -83,14 +84,18 @@ def calibrate_camera(
         The views do not fix the parameters (all parallel), or the board is not as said.
     """
     views = list(views)
-    _check_views(views)
+    check_views(views)
     left_out: list[LeftOut] = []
     if not keep_all:
         blurred = dict(blurred_views(views))
         left_out = [LeftOut(what=views[i].name, why=why) for i, why in blurred.items()]
         views = [v for i, v in enumerate(views) if i not in blurred]
-        _check_views(views, left_out)
-    bundle = _solved(views, fix)
+        check_views(views, left_out)
+    try:
+        bundle = _solved(views, fix)
+    except CalibrationError as error:
+        explain_parallel(views, error)
+        raise
     _check_board(views, bundle, fix)
     if not keep_all:
         views, bundle, more = _without_suspects(views, bundle, fix)
@@ -129,41 +134,6 @@ def calibrate_camera(
         weighting=weighting,
         left_out=tuple(left_out),
     )
-
-
-def check_enough(views: Sequence[BoardView], left_out: Sequence[LeftOut], board: Board) -> None:
-    """Refuse fewer than three views, with the reason for which most were left out.
-
-    Raises
-    ------
-    InputError
-        There are fewer than three views.
-    """
-    if len(views) >= FEWEST_VIEWS:
-        return
-    text = f"{len(views)} views of the board are too few: {FEWEST_VIEWS} are needed, better ten or more"
-    if left_out:
-        (why, count), *_ = Counter(item.why for item in left_out).most_common(1)
-        text += f"; of {len(views) + len(left_out)} images, {count} fail because: {why}"
-    hint = (
-        f"add images, and check --pattern: {board.describe()} was said; it counts inner corners of a "
-        "chessboard, one less than squares"
-    )
-    raise InputError(text, hint=hint)
-
-
-def _check_views(views: Sequence[BoardView], left_out: Sequence[LeftOut] = ()) -> None:
-    check_enough(views, left_out, views[0].board if views else _NO_BOARD)
-    sizes = Counter((v.width_px, v.height_px) for v in views)
-    if len(sizes) > 1:
-        (usual, _), *others = sizes.most_common()
-        odd = [v.name for v in views if (v.width_px, v.height_px) != usual]
-        shown = ", ".join(f"{w} x {h} px ({n})" for (w, h), n in sizes.most_common())
-        raise InputError(
-            f"images of {len(others) + 1} sizes: {shown}; of another size than most: "
-            f"{', '.join(odd[:3])}{' ...' if len(odd) > 3 else ''}",
-            hint="a calibration is true of one image size; calibrate each by itself",
-        )
 
 
 def free_directions(fix: Sequence[Fix]) -> Floats:
@@ -252,10 +222,3 @@ def _weighted(views: Sequence[BoardView], bundle: Bundle) -> Bundle:
             views, bundle.camera, bundle.rotations, bundle.shifts_mm, bundle.free, weights
         )
     return bundle
-
-
-def largest_angle_deg(rotations: Floats) -> float:
-    """Largest angle between the normals of any two views, degrees."""
-    normals = rotations[:, :, 2]
-    cosine = np.clip(normals @ normals.T, -1.0, 1.0)
-    return float(np.rad2deg(np.arccos(cosine.min())))

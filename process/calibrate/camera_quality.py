@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from ...schemas.quality import EstimationInput, Gate, LeftOut, Quality
 from .boards import WINDOW_SHARE, BoardView
-from .camera import CameraEstimate, largest_angle_deg
+from .camera import CameraEstimate
+from .camera_checks import largest_angle_deg
 from .covariance import ray_sigma_mm_per_m
 
 #: Cells of the image that coverage is counted in.

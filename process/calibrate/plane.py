@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from ...schemas.calibration import Intrinsics, LaserPlane
 from ...schemas.errors import CalibrationError
+from .chained import Follower
 from .plane_consensus import LEAST_VIEWS, Choice, PlaneView, consensus, finite, on_board
 from .plane_fit import (
     corner_sigma_px,
@@ -96,6 +97,10 @@ class PlaneFit:
             distance_mm=self.distance_mm,
             covariance=tuple(tuple(float(a) for a in row) for row in covariance),
         )
+
+    def follower(self, laser: int) -> Follower:
+        """The part, and how it follows the camera."""
+        return Follower(self.laser_plane(laser), self.conditional, {"intrinsics": self.by_intrinsics})
 
 
 def fit_planes(

@@ -88,10 +88,11 @@ def said_by(
     reduce = inner @ design.T / noise
     value = reduce @ residual
     # Speckle and paper make the centres wander together over many rows: the scatter and its memory,
-    # not the sigma of single rows, say how well their mean is known.
+    # not the sigma of single rows, say how well their mean is known. But a few rows that scatter
+    # little are no better than stated: what they have in common does not show in their scatter.
     rest = (residual - value[0] - value[1] * along) / noise
     variance = float(rest @ rest) / max(1, len(rest) - 2)
-    covariance = inner * max(variance, 0.1) * _memory(rest)
+    covariance = inner * max(variance, 1.0) * _memory(rest)
     # d residual / d pose: n.r / m.r scales every motion of the board's plane.
     gain = ((rays @ normal) / facing)[:, None]
     by_pose = np.concatenate(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,15 +14,19 @@ from ...schemas.calibration import Intrinsics
 from ...schemas.errors import CalibrationError, InputError
 from ...schemas.recipe import Grey
 from ..grey import to_grey
-from .boards import NoBoard, find_board
+from .board_print import whitened
+from .boards import BoardView, NoBoard, find_board
 from .plane import PlaneFit, fit_planes
 from .plane_consensus import LEAST_VIEWS, PlaneView
-from .pose import board_poses
-from .stripe_lines import find_stripe_lines
+from .pose import BoardPose, board_poses
+from .stripe_lines import StripeLine, find_stripe_lines
 
 #: Channels that a stripe is looked for in, when none is named.
 CHANNELS = ("green", "red", "luma", "blue")
 _TRIAL_VIEWS = 10
+#: Half of a stripe, beyond the window that a corner was refined in.
+_STRIPE_REACH_PX = 4
+_LEAST_CORNERS, _LEAST_SHARE = 12, 0.5
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,7 @@ def watch(
     CalibrationError
         A frame has another size than the camera, or no frame shows the board.
     """
-    seen: list[tuple[LaserFrame, PlaneView]] = []
+    seen: list[_Seen] = []
     left: list[tuple[str, str]] = []
     for frame in frames:
         check_size(frame.name, frame.image, camera)
@@ -86,7 +90,7 @@ def watch(
         except InputError as error:
             left.append((frame.name, str(error)))
             continue
-        seen.append((frame, PlaneView(frame.name, pose, found.points_px, found.points_mm, ())))
+        seen.append(_Seen(frame, found, pose))
     if not seen:
         raise CalibrationError(
             f"the board ({board.describe()}) was found in none of {len(left)} frames: "
@@ -94,37 +98,66 @@ def watch(
             hint="count the inner corners, columns x rows, and look at what the frames show",
         )
     if channel is None:
-        colour = any(f.image.ndim == 3 for f, _ in seen)
+        colour = any(s.frame.image.ndim == 3 for s in seen)
         channel = _best_channel(seen, camera, horizontal, lasers, seed) if colour else "luma"
-    views = [_with_lines(f, v, channel, camera, horizontal, lasers, seed) for f, v in seen]
+    views = [_with_lines(s, channel, camera, horizontal, lasers, seed) for s in seen]
     return Watched(tuple(views), tuple(left), channel)
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """A frame in which the board was found, and its pose."""
+
+    frame: LaserFrame
+    found: BoardView
+    pose: BoardPose
+
+
 def _with_lines(
-    frame: LaserFrame,
-    view: PlaneView,
-    channel: str,
-    camera: Intrinsics,
-    horizontal: bool,
-    lasers: int,
-    seed: int,
+    seen: _Seen, channel: str, camera: Intrinsics, horizontal: bool, lasers: int, seed: int
 ) -> PlaneView:
     mode: Any = channel
     grey = Grey(mode=mode)
+    frame, found = seen.frame, seen.found
+    lit = to_grey(frame.image, grey)
     off = None if frame.off is None else to_grey(frame.off, grey)
+    white = whitened(lit, found.board, seen.pose, camera) if off is None else None
     lines = find_stripe_lines(
-        to_grey(frame.image, grey),
+        lit if white is None else white.grey,
         camera,
         background=off,
+        edge_px=None if white is None else white.edge_px,
         horizontal=horizontal,
         most=lasers + 3,
         seed=seed,
     )
-    return PlaneView(view.name, view.pose, view.corners_px, view.board_mm, lines)
+    kept = found if off is not None else _clear_of(lines, found)
+    pose = seen.pose if kept is found else board_poses(kept.points_px, kept.points_mm, camera)[0]
+    return PlaneView(frame.name, pose, kept.points_px, kept.points_mm, lines)
+
+
+def _clear_of(lines: Sequence[StripeLine], found: BoardView) -> BoardView:
+    """The board without the corners whose windows a stripe crosses: its light pulls them."""
+    clear = np.ones(len(found.ids), np.bool_)
+    reach = found.window_px + _STRIPE_REACH_PX
+    for line in lines:
+        across, along = (line.v_px, line.u_px) if line.along_v else (line.u_px, line.v_px)
+        mine, other = (1, 0) if line.along_v else (0, 1)
+        course = np.polyfit(along, across, 1)
+        away = found.points_px[:, mine] - np.polyval(course, found.points_px[:, other])
+        clear &= np.abs(away) > reach
+    if clear.all() or clear.sum() < max(_LEAST_CORNERS, _LEAST_SHARE * len(clear)):
+        return found
+    return replace(
+        found,
+        ids=found.ids[clear],
+        points_px=found.points_px[clear],
+        points_mm=found.points_mm[clear],
+    )
 
 
 def _best_channel(
-    seen: Sequence[tuple[LaserFrame, PlaneView]],
+    seen: Sequence[_Seen],
     camera: Intrinsics,
     horizontal: bool,
     lasers: int,
@@ -134,9 +167,7 @@ def _best_channel(
     pick = np.unique(np.linspace(0, len(seen) - 1, max(_TRIAL_VIEWS, LEAST_VIEWS)).astype(int))
     best: tuple[float, str] | None = None
     for channel in CHANNELS:
-        views = [
-            _with_lines(seen[i][0], seen[i][1], channel, camera, horizontal, lasers, seed) for i in pick
-        ]
+        views = [_with_lines(seen[i], channel, camera, horizontal, lasers, seed) for i in pick]
         try:
             fits = fit_planes(views, camera, lasers=lasers, seed=seed)
         except CalibrationError:

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from ...schemas.calibration import Intrinsics
 from ..camera import undistort_points
 from ..extract import extract_stripe, noise_of
+from .board_print import EDGE_PX
 
 Floats = npt.NDArray[np.float64]
 
@@ -31,6 +32,8 @@ _NEAR_PX = 1.6
 _LEAST_ROWS = 24
 #: A rougher line is no laser's: an arm, a door frame, a column of squares.
 _CROOKED_PX = 1.0
+#: So many of its own widths a stripe must be clear of edges.
+_CLEAR = 2.0
 
 
 @dataclass(frozen=True)
@@ -61,18 +64,22 @@ def find_stripe_lines(
     camera: Intrinsics,
     *,
     background: npt.NDArray[Any] | None = None,
+    edge_px: npt.NDArray[np.float32] | None = None,
     horizontal: bool = False,
     most: int = 4,
     seed: int = 0,
 ) -> list[StripeLine]:
     """Up to ``most`` straight stripes in ``grey`` (H, W), uint8 or uint16, the best supported first.
 
-    ``background`` is a laser-off frame of the same shape, subtracted with its sign. The search is a
-    seeded RANSAC over the brightest thin places of each row (column, if ``horizontal``).
+    ``background`` is a laser-off frame of the same shape, subtracted with its sign. ``edge_px`` (H, W)
+    is how far each pixel is from an edge of the surface's print: stripe points that reach it are left
+    out. The search is a seeded RANSAC over the brightest thin places of each row (column, if
+    ``horizontal``).
     """
     frame = np.ascontiguousarray(grey.T) if horizontal else grey
     off = None if background is None else (background.T if horizontal else background)
     off = None if off is None else np.ascontiguousarray(off)
+    edge = edge_px.T if edge_px is not None and horizontal else edge_px
     row, column, weight, width = _candidates(frame, off)
     rng = np.random.default_rng(seed)
     out: list[StripeLine] = []
@@ -86,7 +93,7 @@ def find_stripe_lines(
         if np.unique(row[on]).size < max(_LEAST_ROWS, 0.05 * frame.shape[0]):
             break
         course = np.polyfit(ideal[on, 1], ideal[on, 0], 1)
-        found = _exactly(frame, off, row[on], column[on], float(np.median(width[on])))
+        found = _exactly(frame, off, edge, row[on], column[on], float(np.median(width[on])))
         line = None if found is None else _straight(*found, course, camera, horizontal=horizontal)
         if line is not None:
             out.append(line)
@@ -170,6 +177,7 @@ def _best_line(
 def _exactly(
     frame: npt.NDArray[Any],
     off: npt.NDArray[Any] | None,
+    edge: npt.NDArray[np.float32] | None,
     row: Floats,
     column: Floats,
     scale: float,
@@ -207,7 +215,13 @@ def _exactly(
     tall = found["amplitude_dn"] > 0.4 * np.median(found["amplitude_dn"])
     found = found[tall]
     at = found["row"].astype(np.int64)
-    return rows[at] + 0.0, left[at] + found["u_px"], found["sigma_u_px"], found["amplitude_dn"] + 0.0
+    centre = left[at] + found["u_px"]
+    if edge is not None:
+        column_at = np.clip(np.rint(centre), 0, frame.shape[1] - 1).astype(np.int64)
+        away = edge[rows[at], column_at]
+        clear = away >= _CLEAR * float(np.median(found["width_px"])) + EDGE_PX
+        found, at, centre = found[clear], at[clear], centre[clear]
+    return rows[at] + 0.0, centre, found["sigma_u_px"], found["amplitude_dn"] + 0.0
 
 
 def _straight(
