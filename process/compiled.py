@@ -3,6 +3,10 @@
 The cache's folder is named by the content of every kernel's source: Numba itself looks at the file of
 the outermost function only, so that a change in a function that it calls would go unseen, and old
 machine code would give old numbers.
+
+What Python calls is compiled in a process of its own (compiling.py) and then loaded. A process that has
+compiled a function itself runs other copies of the functions inside it than one that has loaded it, and
+they differ in the last bits: the first scan after an installation would have other bytes than the next.
 """
 
 from __future__ import annotations
@@ -19,6 +23,8 @@ from typing import Any, Literal, TypeVar
 import numba
 from numba.core import config as numba_config
 from numba.core import event
+
+from .compiling import compiled_on_disk, in_compiler
 
 config: Any = numba_config
 
@@ -58,8 +64,28 @@ def _cached(compiled: Any) -> Any:
             compiled.enable_caching()
         finally:
             config.CACHE_DIR = before
+        _load_rather_than_compile(compiled, folder)
     _announce()
     return compiled
+
+
+def _load_rather_than_compile(compiled: Any, folder: Path) -> None:
+    """Have argument types that Python calls ``compiled`` with compiled elsewhere, then loaded."""
+    # Numba's dispatcher asks for this by name when no types that it has fit.
+    compile_here = compiled._compile_for_args  # noqa: SLF001
+
+    def for_args(*arguments: Any, **named: Any) -> Any:
+        types = tuple(compiled.typeof_pyval(a) for a in arguments)
+        compiled_on_disk(compiled, types, folder, say_once)
+        return compile_here(*arguments, **named)
+
+    compiled._compile_for_args = for_args  # noqa: SLF001
+
+
+@cache
+def say_once() -> None:
+    """Say that compilation has begun, since it takes seconds and looks like a hang."""
+    LOG.warning("compiling for this machine; this happens once after installation")
 
 
 def _compiled(function: Function, *, inline: Literal["never", "always"]) -> Any:
@@ -92,14 +118,11 @@ def _cache_folder() -> Path | None:
 
 
 class _Listener(event.Listener):
-    """Says once that compilation has begun, since it takes seconds and looks like a hang."""
-
-    said = False
+    """Says so, too, where there is no folder to load from."""
 
     def on_start(self, event: Any) -> None:  # noqa: ARG002
-        if not self.said:
-            self.said = True
-            LOG.warning("compiling for this machine; this happens once after installation")
+        if not in_compiler():
+            say_once()
 
     def on_end(self, event: Any) -> None:
         pass
