@@ -4,9 +4,10 @@ The cache's folder is named by the content of every kernel's source: Numba itsel
 the outermost function only, so that a change in a function that it calls would go unseen, and old
 machine code would give old numbers.
 
-What Python calls is compiled in a process of its own (compiling.py) and then loaded. A process that has
-compiled a function itself runs other copies of the functions inside it than one that has loaded it, and
-they differ in the last bits: the first scan after an installation would have other bytes than the next.
+A kernel that Python calls is compiled in a process of its own (compiling.py) and then loaded. A process
+that has compiled a function itself runs other copies of the functions inside it than one that has
+loaded it, and they differ in the last bits: the first scan after an installation would have other
+bytes than the next. Exact kernels have no such freedom.
 """
 
 from __future__ import annotations
@@ -43,7 +44,11 @@ def inlined(function: Function) -> Function:
 
 def kernel(function: Function) -> Function:
     """``function`` compiled on its first call for given argument types; releases the GIL."""
-    return _cached(_compiled(function, inline="never"))
+    compiled = _cached(_compiled(function, inline="never"))
+    folder = _cache_folder()
+    if folder is not None:
+        _load_rather_than_compile(compiled, folder)
+    return compiled
 
 
 def exact_kernel(function: Function) -> Function:
@@ -64,7 +69,6 @@ def _cached(compiled: Any) -> Any:
             compiled.enable_caching()
         finally:
             config.CACHE_DIR = before
-        _load_rather_than_compile(compiled, folder)
     _announce()
     return compiled
 

@@ -43,7 +43,7 @@ def compiled_on_disk(
     mark = folder / f"{hashlib.sha256(what.encode()).hexdigest()[:24]}.compiled"
     if mark.exists():
         return
-    with (folder / "compiling.lock").open("w") as lock:
+    with mark.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if mark.exists():
             return
