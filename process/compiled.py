@@ -3,11 +3,6 @@
 The cache's folder is named by the content of every kernel's source: Numba itself looks at the file of
 the outermost function only, so that a change in a function that it calls would go unseen, and old
 machine code would give old numbers.
-
-A kernel that Python calls is compiled in a process of its own (compiling.py) and then loaded. A process
-that has compiled a function itself runs other copies of the functions inside it than one that has
-loaded it, and they differ in the last bits: the first scan after an installation would have other
-bytes than the next. Exact kernels have no such freedom.
 """
 
 from __future__ import annotations
@@ -24,8 +19,6 @@ from typing import Any, Literal, TypeVar
 import numba
 from numba.core import config as numba_config
 from numba.core import event
-
-from .compiling import compiled_on_disk, in_compiler
 
 config: Any = numba_config
 
@@ -44,11 +37,7 @@ def inlined(function: Function) -> Function:
 
 def kernel(function: Function) -> Function:
     """``function`` compiled on its first call for given argument types; releases the GIL."""
-    compiled = _cached(_compiled(function, inline="never"))
-    folder = _cache_folder()
-    if folder is not None:
-        _load_rather_than_compile(compiled, folder)
-    return compiled
+    return _cached(_compiled(function, inline="never"))
 
 
 def exact_kernel(function: Function) -> Function:
@@ -71,25 +60,6 @@ def _cached(compiled: Any) -> Any:
             config.CACHE_DIR = before
     _announce()
     return compiled
-
-
-def _load_rather_than_compile(compiled: Any, folder: Path) -> None:
-    """Have argument types that Python calls ``compiled`` with compiled elsewhere, then loaded."""
-    # Numba's dispatcher asks for this by name when no types that it has fit.
-    compile_here = compiled._compile_for_args  # noqa: SLF001
-
-    def for_args(*arguments: Any, **named: Any) -> Any:
-        types = tuple(compiled.typeof_pyval(a) for a in arguments)
-        compiled_on_disk(compiled, types, folder, say_once)
-        return compile_here(*arguments, **named)
-
-    compiled._compile_for_args = for_args  # noqa: SLF001
-
-
-@cache
-def say_once() -> None:
-    """Say that compilation has begun, since it takes seconds and looks like a hang."""
-    LOG.warning("compiling for this machine; this happens once after installation")
 
 
 def _compiled(function: Function, *, inline: Literal["never", "always"]) -> Any:
@@ -122,11 +92,14 @@ def _cache_folder() -> Path | None:
 
 
 class _Listener(event.Listener):
-    """Says so, too, where there is no folder to load from."""
+    """Says once that compilation has begun, since it takes seconds and looks like a hang."""
+
+    said = False
 
     def on_start(self, event: Any) -> None:  # noqa: ARG002
-        if not in_compiler():
-            say_once()
+        if not self.said:
+            self.said = True
+            LOG.warning("compiling for this machine; this happens once after installation")
 
     def on_end(self, event: Any) -> None:
         pass

@@ -3,8 +3,6 @@
 The model is a Gaussian on a straight background. Clipped samples say nothing and are left out: the
 flanks give the centre. A median of three rows, along the stripe, only starts the fit and tells
 outliers; the fit itself takes the row's own samples, so that nothing is smoothed across a depth edge.
-Of a wide stripe the means of 2, 4, 8 ... neighbouring samples are fitted, which say no less; but not of
-a clipped one, since a mean that holds a part of a plateau's edge is lost, and with it what tells most.
 """
 
 from __future__ import annotations
@@ -17,21 +15,29 @@ import numpy.typing as npt
 
 from ...schemas.tables import Flag
 from ..compiled import kernel
-from .descent import GATE, NARROWEST, Model, descend, is_unlike
 from .start import SIDE, background_of, goes_on, profile_of, start_of
 
 Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
-_SATURATED, _EDGE, _SECOND = int(Flag.SATURATED), int(Flag.EDGE), int(Flag.SECOND)
-#: How many samples on either side of the peak are taken, and how many of them must see the background.
-_REACH, _SEEN = 28, 4
-#: Fewer samples than this are no fit.
-_LEAST = 4
-#: Starts that differ by less than this share of the width in centre and width are the same.
-_SAME = 0.1
+_SATURATED, _EDGE, _SECOND, _GATED = (
+    int(Flag.SATURATED),
+    int(Flag.EDGE),
+    int(Flag.SECOND),
+    int(Flag.GATED),
+)
+_STEPS = 12
+#: In so many steps the gate is set anew.
+_SETTLING = 3
+#: Samples farther off the model than this many standard deviations are left out.
+_GATE = 4.5
+#: In the first step, the samples' distance may be due to a centre and a width that are this far off, in
+#: px.
+_SLACK = 0.2
 #: More than this share of outliers makes a second start worth its time.
 _DOUBTFUL = 0.12
+#: A sample that is off by this share of the height is unlike a Gaussian; so many, and this is no
+#: stripe.
+_UNLIKE, _MOST_UNLIKE = 0.15, 0.35
 #: Share of the height that is there at the centre.
 _FILLED = 0.75
 #: What is seen of a stripe, over the noise of a matched filter: less is found in noise alone now and
@@ -39,8 +45,11 @@ _FILLED = 0.75
 CERTAIN = 7.0
 #: How far from the centre a second stripe is looked for, in px.
 _NEAR = 24
+#: Narrowest stripe that is one, as a standard deviation: less is a single pixel.
+_NARROWEST = 0.3
 
 _Row = tuple[bool, float, float, float, float, float, int]
+_Model = tuple[float, float, float, float, float]
 
 
 @kernel
@@ -61,51 +70,15 @@ def fit_row(
     stripe is wide.
     """
     from_px, to_px = span
-    base_dn, max_width_px, noise, plain = limits
-    most = int(math.ceil(2.0 * max_width_px)) + SIDE
-    reach, pool = min(_REACH, most), 1
-    while True:
-        # Of the pooled samples about the peak, those that lie whole in the span.
-        low = peak - pool // 2 - reach * pool
-        low += max(0, (from_px - low + pool - 1) // pool) * pool
-        n = (min(to_px, peak - pool // 2 + (reach + 1) * pool) - low) // pool
-        if n < _LEAST:
-            return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0
-        lines, cut = np.empty((5, n), np.float64), np.empty(n, np.bool_)
-        _gather(signal, raw, row, low, pool, clip_dn, lines, cut)
-        inner = row > 0 and row < len(signal) - 1
-        share = 1.0 / math.sqrt(pool)
-        best, wanted = _fit_within(
-            lines,
-            cut,
-            (peak - low - 0.5 * (pool - 1)) / pool,
-            inner,
-            reach if reach * pool < most else np.inf,
-            (base_dn, max_width_px / pool, noise * share, plain * share),
-            pool,
-        )
-        if best[0] and 3.5 * best[3] > reach:
-            # So wide that no background was seen: once more, from afar.
-            wanted = 2.0 * reach
-        if wanted <= reach or reach * pool >= 2 * most:
-            break
-        clipped = False
-        for j in range(max(0, peak - low - 1), min(n, peak - low + 2)):
-            clipped |= pool == 1 and cut[j]
-        more = 2
-        while wanted < np.inf and wanted > more * reach and more * reach * pool < most:
-            more *= 2
-        if clipped:
-            reach *= more
-        else:
-            pool *= more
+    _, max_width_px, _, plain = limits
+    reach = int(math.ceil(2.0 * max_width_px)) + SIDE
+    best = _fit_within(signal, raw, row, peak, span, reach, limits, clip_dn)
+    if best[0] and 3.5 * best[3] > reach:
+        # So wide that no background was seen: once more, from afar.
+        best = _fit_within(signal, raw, row, peak, span, 2 * reach, limits, clip_dn)
     good, centre, sigma, width, height, base, flags = best
     if not good:
         return best
-    # The mean of neighbours is a wider and lower Gaussian than what it is taken of.
-    own = math.sqrt(width * width - (1.0 - 1.0 / (pool * pool)) / 12.0)
-    centre, sigma = low + 0.5 * (pool - 1) + pool * centre, pool * sigma
-    height, width = height * width / own, pool * own
     if centre - 2.5 * width < from_px or centre + 2.5 * width > to_px - 1:
         flags |= _EDGE
     if second_near(signal[row], centre, height, base, plain, from_px, to_px):
@@ -114,131 +87,126 @@ def fit_row(
 
 
 @kernel
-def _gather(
+def _fit_within(
     signal: npt.NDArray[Any],
     raw: npt.NDArray[Any],
     row: int,
-    low: int,
-    pool: int,
-    clip_dn: float,
-    lines: Floats,
-    cut: Bools,
-) -> None:
-    """Means of ``pool`` samples each, from column ``low`` on, of the row above, the row and that below.
-
-    ``cut`` tells where one of the row's own is clipped.
-    """
-    share = 1.0 / pool
-    for i in range(3):
-        line, source = lines[i], signal[min(max(row + i - 1, 0), len(signal) - 1)]
-        for j in range(len(cut)):
-            total, start = 0.0, np.uintp(low + j * pool)
-            for k in range(pool):
-                total += float(source[start + np.uintp(k)])
-            line[np.uintp(j)] = total * share
-    source = raw[row]
-    for j in range(len(cut)):
-        clipped, start = False, np.uintp(low + j * pool)
-        for k in range(pool):
-            clipped |= float(source[start + np.uintp(k)]) >= clip_dn
-        cut[np.uintp(j)] = clipped
-
-
-@kernel
-def _fit_within(
-    lines: Floats,
-    cut: Bools,
-    place: float,
-    inner: bool,
-    room: float,
+    peak: int,
+    span: tuple[int, int],
+    reach: int,
     limits: tuple[float, float, float, float],
-    pool: int,
-) -> tuple[_Row, float]:
-    """The fit to pooled samples, and how far from the peak it wants them: beyond ``room``, no fit.
-
-    ``lines`` are the row above, the row, the row below, and room for a profile and distances; the peak
-    is at ``place``; ``inner`` is not the first or last row. All is counted in pooled samples.
-    """
-    above, here, below, profile = lines[0], lines[1], lines[2], lines[3]
-    along = inner and goes_on(above, here, below, _nearest(place, len(here)))
-    profile_of(above, here, below, along, profile)
-    best, cost, strange, wanted, begun = _attempt(lines, cut, place, room, (0.0, 0.0), limits, pool)
-    if wanted > room:
-        return best, wanted
+    clip_dn: float,
+) -> _Row:
+    """The fit to the samples up to ``reach`` from the peak; arguments as in :func:`fit_row`."""
+    low, high = max(span[0], peak - reach), min(span[1], peak + reach + 1)
+    samples, cut = np.empty(high - low, np.float64), np.empty(high - low, np.bool_)
+    for j in range(high - low):
+        samples[j] = float(signal[row, low + j])
+        cut[j] = float(raw[row, low + j]) >= clip_dn
+    along = goes_on(signal, row, low, high, peak)
+    profile = profile_of(signal, row, low, high, along)
+    best, cost, strange = _attempt(samples, cut, profile, low, peak, limits)
     if not best[0] or strange > _DOUBTFUL:
         # The rows beside it may show something else after all, or better: once more the other way.
-        profile_of(above, here, below, not along, profile)
-        other, its_cost, _, _, _ = _attempt(lines, cut, place, np.inf, begun, limits, pool)
+        profile = profile_of(signal, row, low, high, not along)
+        other, its_cost, _ = _attempt(samples, cut, profile, low, peak, limits)
         if other[0] and (not best[0] or its_cost < cost):
             best = other
-    return best, 0.0
-
-
-@kernel
-def _nearest(place: float, n: int) -> int:
-    """The sample nearest to ``place``, which at a border may lie in a mean that is not whole."""
-    return min(max(int(math.floor(place + 0.5)), 0), n - 1)
+    return best
 
 
 @kernel
 def _attempt(
-    lines: Floats,
-    cut: Bools,
-    place: float,
-    room: float,
-    before: tuple[float, float],
+    samples: Floats,
+    cut: npt.NDArray[np.bool_],
+    profile: Floats,
+    low: int,
+    peak: int,
     limits: tuple[float, float, float, float],
-    pool: int,
-) -> tuple[_Row, float, float, float, tuple[float, float]]:
-    """The fit that the profile starts; its mean square remainder, each up to a gate; share of outliers;
-    how far from the peak samples are needed: if farther than ``room``, nothing was fitted; and the
-    start's centre and width.
+) -> tuple[_Row, float, float]:
+    """The fit that ``profile`` starts; its mean square remainder, each up to a gate; share of outliers.
 
-    Nor is anything fitted from a start that is the one ``before``. ``limits`` are those of
-    :func:`fit_row`, the rest those of :func:`_fit_within`.
+    ``low`` is the column of sample 0, ``limits`` are those of :func:`fit_row`.
     """
-    base_dn, max_width, noise, plain = limits
-    samples, profile = lines[1], lines[3]
-    n, top = len(samples), _nearest(place, len(samples))
-    none = (False, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
-    for j in range(max(0, top - 2), min(n, top + 3)):
+    base_dn, max_width_px, noise, plain = limits
+    bad = ((False, 0.0, 0.0, 0.0, 0.0, 0.0, 0), np.inf, 1.0)
+    high = low + len(samples)
+    top = peak - low
+    for j in range(max(0, top - 2), min(len(profile), top + 3)):
         if profile[j] > profile[top]:
             top = j
-    ok, centre, width, height, base = start_of(profile, cut, top, max_width)
-    begun = (centre, width)
+    ok, centre, width, height, base = start_of(profile, cut, low, top, max_width_px)
     if not ok or height < 0.5 * base_dn:
-        return none, np.inf, 1.0, np.inf, begun
-    bad = (none, np.inf, 1.0, 0.0, begun)
+        return bad
+    base, tilt = background_of(profile, centre - low, width, noise, height)
     half = 3.5 * width + 4.0
-    if half + _SEEN > room:
-        return none, np.inf, 1.0, half + _SEEN, begun
-    if abs(centre - before[0]) < _SAME * width and abs(width - before[1]) < _SAME * width:
-        return bad
-    base, tilt = background_of(profile, centre, width, noise, height)
-    first = max(0, int(math.floor(centre - half)))
-    stop = min(n, int(math.ceil(centre + half)) + 1)
-    if stop - first < _LEAST:
-        return bad
-    rests = lines[4, : stop - first]
-    begin = (centre, width, height, base, tilt)
-    model, sigma, gate, flags = descend(samples, cut, profile, first, begin, noise, rests)
+    first = max(low, int(math.floor(centre - half)))
+    stop = min(high, int(math.ceil(centre + half)) + 1)
+    rests = np.empty(stop - first, np.float64)
+    begin = (centre - low, width, height, base, tilt)
+    model, sigma, gate, flags = _descend(samples, cut, profile, first - low, begin, noise, rests)
     centre, width, height, base, tilt = model
-    if flags < 0 or not NARROWEST <= width <= max_width or not -0.5 <= centre <= n - 0.5:
+    centre += low
+    if flags < 0 or not _NARROWEST <= width <= max_width_px or not low - 0.5 <= centre <= high - 0.5:
         return bad
-    if abs(centre - place) > 2.5 / pool + 1.5 * width and not flags & _SATURATED:
+    if abs(centre - peak) > 2.5 + 1.5 * width and not flags & _SATURATED:
         return bad
-    if height < base_dn or not sigma < max(0.2 * width, 0.5 / pool):
+    if height < base_dn or not sigma < max(0.2 * width, 0.5):
         return bad
     if not flags & _SATURATED and not _filled(samples, model, plain):
         return bad
-    cost, outliers, seen = _judge(rests, first, model, noise, plain, gate)
+    cost, outliers, seen = _judge(rests, first - low, model, noise, plain, gate)
     if not seen:
         return bad
-    return (True, centre, sigma, width, height, base + tilt * centre, flags), cost, outliers, 0.0, begun
+    found = (True, centre, sigma, width, height, base + tilt * (centre - low), flags)
+    return found, cost, outliers
 
 
 @kernel
-def _filled(samples: Floats, model: Model, noise: float) -> bool:
+def _descend(
+    samples: Floats,
+    cut: npt.NDArray[np.bool_],
+    profile: Floats,
+    first: int,
+    begin: _Model,
+    noise: float,
+    rests: Floats,
+) -> tuple[_Model, float, float, int]:
+    """Gauss-Newton steps to the end: the model, the centre's deviation, the gate, and flags or -1.
+
+    A model is (centre, width, height, background, its slope), places counted from sample 0. ``rests``
+    is filled with the distances of the samples from ``first`` on.
+    """
+    centre, width, height, base, tilt = begin
+    stop = first + len(rests)
+    sigma, gate, flags = 0.0, np.inf, 0
+    # First the profile, in which hardly an outlier is left, then the samples themselves.
+    for stage in range(2):
+        for step in range(_STEPS):
+            if stage == 1 and step < _SETTLING:
+                _distances(samples, cut, first, (centre, width, height, base, tilt), rests)
+                gate = _GATE * max(noise, _scatter(rests))
+            height, moved, width, sigma, flags = _improve(
+                samples if stage == 1 else profile,
+                cut,
+                (first, stop),
+                (centre, width, height, base, tilt),
+                noise,
+                gate,
+                _SLACK if step == 0 else 0.0,
+            )
+            centre += moved
+            if flags < 0 or width < _NARROWEST or not -0.5 <= centre <= len(samples) - 0.5:
+                return begin, 0.0, gate, -1
+            if abs(moved) < 0.02 * sigma + 1e-4 and step >= stage:
+                break
+    model = (centre, width, height, base, tilt)
+    _distances(samples, cut, first, model, rests)
+    return model, sigma, gate, flags
+
+
+@kernel
+def _filled(samples: Floats, model: _Model, noise: float) -> bool:
     """Whether the centre is bright: of two stripes taken together it lies where neither is."""
     centre, _, height, base, tilt = model
     middle, summit = round(centre), -np.inf
@@ -249,22 +217,23 @@ def _filled(samples: Floats, model: Model, noise: float) -> bool:
 
 @kernel
 def _judge(
-    rests: Floats, first: int, model: Model, noise: float, plain: float, gate: float
+    rests: Floats, first: int, model: _Model, noise: float, plain: float, gate: float
 ) -> tuple[float, float, bool]:
     """Mean square distance, each up to a gate; share of outliers; whether a stripe is seen at all."""
     centre, width, height, _, _ = model
-    cost, energy, n, outliers = 0.0, 0.0, 0, 0
+    cost, energy, n, unlike, outliers = 0.0, 0.0, 0, 0, 0
     for j in range(len(rests)):
         rest = rests[j]
         if rest >= 0.0:
-            cost += min(rest * rest, GATE * GATE * noise * noise)
+            cost += min(rest * rest, _GATE * _GATE * noise * noise)
             n += 1
+            unlike += rest > _UNLIKE * height + 3.0 * noise
             if rest > gate:
                 outliers += 1
             else:
                 t = (first + j - centre) / width
                 energy += (height * math.exp(-0.5 * t * t)) ** 2
-    seen = not is_unlike(rests, height, noise) and energy >= (CERTAIN * plain) ** 2
+    seen = n > 0 and unlike <= _MOST_UNLIKE * n and energy >= (CERTAIN * plain) ** 2
     return cost / max(n, 1), outliers / max(n, 1), seen
 
 
@@ -297,3 +266,113 @@ def second_near(
             if lesser - valley > rise and lesser > level:
                 return True
     return False
+
+
+@kernel
+def _distances(
+    samples: Floats,
+    cut: npt.NDArray[np.bool_],
+    first: int,
+    model: tuple[float, float, float, float, float],
+    rests: Floats,
+) -> None:
+    """Fill ``rests`` with the distances from the model, from sample ``first`` on; -1 for clipped."""
+    centre, width, height, base, tilt = model
+    for i in range(len(rests)):
+        j = first + i
+        t = (j - centre) / width
+        rest = abs(samples[j] - base - tilt * j - height * math.exp(-0.5 * t * t))
+        rests[i] = -1.0 if cut[j] else rest
+
+
+@kernel
+def _scatter(rests: Floats) -> float:
+    """Robust deviation: 1.48 times the median of the distances that are not negative."""
+    ordered = np.sort(rests)
+    n, start = len(rests), 0
+    while start < n and ordered[start] < 0.0:
+        start += 1
+    if n - start < 3:
+        return np.inf
+    return 1.4826 * ordered[start + (n - start) // 2]
+
+
+@kernel
+def _improve(
+    samples: Floats,
+    cut: npt.NDArray[np.bool_],
+    span: tuple[int, int],
+    start: tuple[float, float, float, float, float],
+    noise: float,
+    gate: float,
+    slack: float,
+) -> tuple[float, float, float, float, int]:
+    """One Gauss-Newton step: (height, shift of the centre, width, deviation of the centre, flags or
+    -1).
+
+    Unknowns are height, centre and width; ``start`` is (centre, width, height, background at sample 0,
+    its slope), whose background stands. Samples farther off than ``gate``, and than ``slack`` px of
+    centre or width explain, are left out, and clipped ones.
+    """
+    first, stop = span
+    centre, width, height, base, tilt = start
+    flags = 0
+    n00 = n01 = n02 = n11 = n12 = n22 = b0 = b1 = b2 = squares = 0.0
+    used, lefts, rights = 0, 0, 0
+    inverse = 1.0 / width
+    # exp(-t^2 / 2) at equal steps by two products a sample.
+    t = (first - centre) * inverse
+    value = math.exp(-0.5 * t * t)
+    ratio = math.exp(-inverse * (t + 0.5 * inverse))
+    change = math.exp(-inverse * inverse)
+    near = max(3.0 * width, 1.5)
+    for j in range(first, stop):
+        x = j - centre
+        model = height * value
+        rest = samples[j] - base - tilt * j - model
+        t = x * inverse
+        slope0, slope1, slope2 = value, model * t * inverse, model * t * t * inverse
+        value *= ratio
+        ratio *= change
+        if cut[j]:
+            if abs(x) < near:
+                flags |= _SATURATED
+            continue
+        if abs(rest) > gate + slack * (abs(slope1) + slope2):
+            if abs(x) < near:
+                flags |= _GATED
+            continue
+        used += 1
+        if abs(t) < 3.5:
+            if x < 0.0:
+                lefts += 1
+            else:
+                rights += 1
+        squares += rest * rest
+        n00 += slope0 * slope0
+        n01 += slope0 * slope1
+        n02 += slope0 * slope2
+        n11 += slope1 * slope1
+        n12 += slope1 * slope2
+        n22 += slope2 * slope2
+        b0 += slope0 * rest
+        b1 += slope1 * rest
+        b2 += slope2 * rest
+    if used < 5 or lefts + rights < 4:
+        return 0.0, 0.0, 0.0, 0.0, -1
+    # A narrow stripe has few samples: a weak belief in the present width keeps the equations regular.
+    n22 += 1e-6 * n22 + 1e-12
+    c00, c01, c02 = n11 * n22 - n12 * n12, n02 * n12 - n01 * n22, n01 * n12 - n02 * n11
+    det = n00 * c00 + n01 * c01 + n02 * c02
+    if not det > 0.0:
+        return 0.0, 0.0, 0.0, 0.0, -1
+    c11, c12 = n00 * n22 - n02 * n02, n01 * n02 - n00 * n12
+    c22 = n00 * n11 - n01 * n01
+    d0 = (c00 * b0 + c01 * b1 + c02 * b2) / det
+    d1 = (c01 * b0 + c11 * b1 + c12 * b2) / det
+    d2 = (c02 * b0 + c12 * b1 + c22 * b2) / det
+    sigma = max(noise, math.sqrt(squares / max(used - 3, 1))) * math.sqrt(c11 / det)
+    shift = min(max(d1, -width), width)
+    wider = min(max(width + d2, 0.6 * width), 1.6 * width)
+    taller = min(max(height + d0, 0.4 * height), 2.5 * height)
+    return taller, shift, wider, sigma, flags

@@ -29,9 +29,6 @@ _AGREES = 0.5
 _SECOND = 0.5
 #: Half the width about the brightest place that belongs to the same stripe, in px.
 _OWN = 16
-#: What was seen beside a stripe holds for the next row as well, if it lies within so many px; so
-#: many samples are looked at on either side, a block's and those by which it may have moved.
-_DRIFT, _BESIDE = 2, 96
 #: How often the next brightest place is tried when the brightest is a hot pixel.
 _TRIES = 6
 
@@ -55,7 +52,6 @@ def find_peaks(
         # The stripe may be in each of so few blocks, so that none shows the background.
         _darkest(signal, from_px, to_px, lowest)
     before_dn, before = 0.0, -1
-    seen_row, seen_at, seen_level, seen = -1, 0, 0.0, False
     for row in range(height):
         pair = row >> 1
         above, below = max(row - 1, 0), min(row + 1, height - 1)
@@ -78,12 +74,7 @@ def find_peaks(
         near_last = (min(found + _OWN, to_px - 1) - from_px) // _BLOCK
         for b in range(near_first, near_last + 1):
             own += best[b, pair] > level
-        # A second stripe shows in both rows of a pair: what the first of them tells, the other need not
-        # be asked.
-        if row & 1 == 0 or seen_row != row - 1 or abs(found - seen_at) > _DRIFT or level < seen_level:
-            seen = _bright_beside(signal, row, from_px, to_px, found, level)
-            seen_row, seen_at, seen_level = row, found, level
-        if bright[pair] > own or seen:
+        if bright[pair] > own or _bright_beside(signal, row, from_px, to_px, found, level):
             second[row] = _elsewhere(signal, above, row, below, from_px, to_px, found, level)
     return peak, second
 
@@ -176,35 +167,29 @@ def _position(
     A place beside the one of the row before serves as well when it is nearly as bright: the methods
     find the centre themselves. Of a plateau, as clipped stripes have, the middle.
     """
-    up, here, down = np.uintp(above), np.uintp(row), np.uintp(below)
+    up, here, down = signal[above], signal[row], signal[below]
     last = min(first + _BLOCK, to_px)
     close, least = floor + 0.5 * (top - floor), floor + 0.25 * (top - floor)
     if first < before < last - 1:
         score, at = -np.inf, before
         for place in range(before - 1, before + 2):
             k = np.uintp(place)
-            value = float(min(min(signal[up, k], signal[here, k]), signal[down, k]))
+            value = float(min(min(up[k], here[k]), down[k]))
             if value > score:
                 score, at = value, place
         # A narrow stripe that slopes loses most of its height to the least of three rows, not of two.
-        if (
-            score >= least
-            and float(min(signal[here, at], max(signal[up, at], signal[down, at]))) >= close
-        ):
+        if score >= least and float(min(here[at], max(up[at], down[at]))) >= close:
             return at
     score, at = -np.inf, first
     for place in range(first, last):
         k = np.uintp(place)
-        value = float(min(min(signal[up, k], signal[here, k]), signal[down, k]))
+        value = float(min(min(up[k], here[k]), down[k]))
         if value > score:
             score, at = value, place
-    if score < least or float(min(signal[here, at], max(signal[up, at], signal[down, at]))) < close:
+    if score < least or float(min(here[at], max(up[at], down[at]))) < close:
         return -1
     end = at
-    while end + 1 < to_px:
-        k = np.uintp(end + 1)
-        if float(min(min(signal[up, k], signal[here, k]), signal[down, k])) < score:
-            break
+    while end + 1 < to_px and float(min(min(up[end + 1], here[end + 1]), down[end + 1])) >= score:
         end += 1
     return (at + end) // 2
 
@@ -246,17 +231,17 @@ def _bright_beside(
     signal: npt.NDArray[Any], row: int, from_px: int, to_px: int, peak: int, level: float
 ) -> bool:
     """Whether a sample beside the stripe, up to a block's length away, is above ``level``."""
-    here = np.uintp(row)
-    low, high = peak - _OWN + _DRIFT, peak + _OWN - _DRIFT
-    if low - _BESIDE < from_px or high + _BESIDE >= to_px:
-        for j in range(max(low - _BESIDE, from_px), min(high + _BESIDE + 1, to_px)):
-            if (j < low or j > high) and signal[here, j] > level:
+    here = signal[row]
+    low, high = peak - _OWN, peak + _OWN
+    if low - _BLOCK < from_px or high + _BLOCK >= to_px:
+        for j in range(max(low - _BLOCK, from_px), min(high + _BLOCK + 1, to_px)):
+            if (j < low or j > high) and here[j] > level:
                 return True
         return False
-    left, right = np.uintp(low - _BESIDE), np.uintp(high + 1)
-    top = signal[here, left]
-    for i in range(_BESIDE):
-        one, other = signal[here, left + np.uintp(i)], signal[here, right + np.uintp(i)]
+    left, right = np.uintp(low - _BLOCK), np.uintp(high + 1)
+    top = here[left]
+    for i in range(_BLOCK):
+        one, other = here[left + np.uintp(i)], here[right + np.uintp(i)]
         one = one if one > other else other
         top = one if one > top else top
     return float(top) > level
