@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from ..schemas.errors import CutOffError, InputError
 from ..schemas.events import LaserState, LogEvent, TurntableAngle
-from ..store.log_records import read_messages
+from ..store.log_walk import read_messages
 from .mcap_choice import Choice
 from .mcap_survey import Track
 from .mcap_times import Clock, in_order

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..schemas.calibration import Intrinsics
 from ..schemas.errors import CutOffError, DocumentError, InputError
-from ..store.log_records import read_messages
+from ..store.log_walk import read_messages
 from .messages.cameras import intrinsics_of, is_camera
 from .messages.images import image_role
 from .messages.paths import (

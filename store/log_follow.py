@@ -47,7 +47,7 @@ class GrowingLog:
         return self._bytes.hexdigest()
 
     def wait_for(self, size: int | None) -> int:
-        """See :class:`.log_records.Growth`."""
+        """See :class:`.log_walk.Growth`."""
         while True:
             # Asked before the look, so that nothing written before the word is missed.
             self._whole = self._whole or self._finished(0.0)
@@ -57,5 +57,5 @@ class GrowingLog:
             self._whole = self._finished(_LOOK_EVERY_S)
 
     def take(self, data: bytes | memoryview) -> None:
-        """See :class:`.log_records.Growth`."""
+        """See :class:`.log_walk.Growth`."""
         self._bytes.update(data)

@@ -15,7 +15,8 @@ from ..schemas.channels import topic_of
 from ..schemas.errors import DamageError
 from ..schemas.events import CalibrationSnapshot, Exposure, LogEvent, ScanStart
 from ..schemas.image_messages import RAW_IMAGE, ImageMessage, decode_image
-from .log_records import Growth, LogMessage, damaged, read_messages
+from .log_records import LogMessage, damaged
+from .log_walk import Growth, read_messages
 
 if TYPE_CHECKING:
     import numpy.typing as npt

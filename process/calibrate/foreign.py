@@ -103,6 +103,7 @@ def _caltech(data: bytes, where: str, size_px: tuple[int, int] | None) -> Foreig
 
     try:
         found: dict[str, Any] = loadmat(io.BytesIO(data))
+    # SciPy's own word for MATLAB 7.3 files, which are HDF5; nothing of ours is missing here.
     except NotImplementedError as error:
         raise InputError(
             f"{where}: a MATLAB 7.3 file", hint="save it again with save(..., '-v7') in MATLAB"

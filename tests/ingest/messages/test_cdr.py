@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from turnscan.ingest.messages.cdr import CdrDecoder
 from turnscan.ingest.messages.definitions import parse_definitions, standard_definitions
 from turnscan.schemas.errors import InputError
-from turnscan.store.log_records import read_messages
+from turnscan.store.log_walk import read_messages
 
 from .cdr_writer import LETTERS, TEXTS, full_text, image, write
 

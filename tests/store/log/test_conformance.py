@@ -10,7 +10,8 @@ import pytest
 from mcap import records
 
 from turnscan.schemas.errors import DamageError
-from turnscan.store.log_records import LogMessage, RecordWalk, read_messages
+from turnscan.store.log_records import LogMessage
+from turnscan.store.log_walk import RecordWalk, read_messages
 
 FIELDS_NOT_SHOWN = {records.MessageIndex}
 
