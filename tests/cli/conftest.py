@@ -17,6 +17,7 @@ sys.path[:0] = [str(HERE), str(PROCESS), str(PROCESS / "calibrate")]
 
 from console import Console, Inside, write_frames, write_json  # noqa: E402
 from real import SRV, srv_angle_deg  # noqa: E402
+from rig_files import write_rig  # noqa: E402
 
 from turnscan.ingest.image_sources import natural_key  # noqa: E402
 
@@ -37,6 +38,16 @@ def _log_of_its_own() -> Iterator[None]:
 def console(tmp_path: Path) -> Console:
     """The command, run in a folder of its own."""
     return Console(tmp_path)
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Console:
+    """A console with an archive and a rig file of a small simulated rig."""
+    console = Inside(tmp_path)
+    console("init", "lab")
+    console.archive = tmp_path / "lab"
+    write_rig(tmp_path)
+    return console
 
 
 @pytest.fixture(scope="session")

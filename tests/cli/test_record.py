@@ -1,82 +1,24 @@
-"""``turnscan record`` as users run it: whole scans, Ctrl-C, kill -9, full disks, going on."""
+"""``turnscan record`` as users run it: whole scans, Ctrl-C, going on, bad input."""
 
 from __future__ import annotations
 
 import json
-import random
-import resource
 import shutil
 import signal
-import subprocess
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
-from console import Console, Inside, surroundings
-from rig_files import write_rig
+from console import Console
+from recordings import archive_of, begin, points_of, wait_for_frames
 
 from turnscan.process.pipeline import derive
 from turnscan.schemas.events import DeviceLine, LaserState, ScanEnd
 from turnscan.schemas.recipe import BUILT_IN
 from turnscan.store import Archive
 from turnscan.store.verify import verify
-
-
-@pytest.fixture
-def lab(tmp_path: Path) -> Console:
-    """A console with an archive and a rig file of a small simulated rig."""
-    console = Inside(tmp_path)
-    console("init", "lab")
-    console.archive = tmp_path / "lab"
-    write_rig(tmp_path)
-    return console
-
-
-def archive_of(console: Console) -> Archive:
-    assert console.archive is not None
-    return Archive.open(console.archive)
-
-
-def points_of(archive: Archive, scans: list[str]) -> pl.DataFrame:
-    """Points of some logs as one table, without what differs from one recording to the next."""
-    marks = ", ".join(f"'{s}'" for s in scans)
-    table = archive.points(where=f"scan IN ({marks})").collect()
-    columns = ["angle_rad", "laser", "row", "u_px", "x_mm", "y_mm", "z_mm", "amplitude_dn"]
-    return table.select(columns).sort(["angle_rad", "laser", "row"])
-
-
-def begin(console: Console, *words: object) -> subprocess.Popen[str]:
-    """A recording in a process and group of its own."""
-    return subprocess.Popen(
-        console.command("record", *words),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        stdin=subprocess.DEVNULL,
-        text=True,
-        cwd=console.cwd,
-        env=surroundings(),
-        start_new_session=True,
-    )
-
-
-def growing(archive: Path) -> list[Path]:
-    """Logs that are neither sealed nor salvaged."""
-    parts = (archive / "scans").glob("*/scan.mcap.part")
-    return sorted(p for p in parts if not p.with_name("salvaged.txt").exists())
-
-
-def wait_for_frames(archive: Path, count: int, process: subprocess.Popen[str]) -> Path:
-    """The growing log, once it holds so many frames."""
-    until = time.monotonic() + 60
-    while time.monotonic() < until and process.poll() is None:
-        for part in growing(archive):
-            if frames_on_disk(part.read_bytes()) >= count:
-                return part
-        time.sleep(0.01)
-    raise AssertionError(process.communicate())
 
 
 def test_a_scan_is_recorded_extracted_and_sealed(lab: Console) -> None:
@@ -189,227 +131,6 @@ def test_a_resumed_scan_is_shown_processed_and_exported_as_one(lab: Console) -> 
     assert all(r["tags"] == {"part": "both"} for r in lab.json("scan", "list"))
     error = lab.fails("record", "--resume", "latest")
     assert "no pose" in error
-
-
-def killed(
-    console: Console, label: str, after_s: float, after_frames: int = 0
-) -> tuple[bytes | None, int]:
-    """Record, kill -9 so long after so many frames; the log's part and the frames flushed by then."""
-    process = begin(console, "--to-deg", "120", "--label", label)
-    assert console.archive is not None
-    if after_frames:
-        wait_for_frames(console.archive, after_frames, process)
-    time.sleep(after_s)
-    process.kill()
-    process.communicate(timeout=150)
-    parts = growing(console.archive)
-    part = parts[-1].read_bytes() if parts else None
-    return part, 0 if part is None else frames_on_disk(part)
-
-
-def frames_on_disk(part: bytes) -> int:
-    """Frames in the whole chunks of a log that was cut off, counted by the format's rules alone."""
-    import struct
-
-    import zstandard
-
-    at, frames = 8, 0
-    image: set[int] = set()
-    while at + 9 <= len(part):
-        opcode, length = struct.unpack_from("<BQ", part, at)
-        if at + 9 + length > len(part):
-            break
-        if opcode == 0x06:
-            (size,) = struct.unpack_from("<Q", part, at + 9 + 16)
-            (name,) = struct.unpack_from("<I", part, at + 9 + 28)
-            (stored,) = struct.unpack_from("<Q", part, at + 9 + 32 + name)
-            data = part[at + 9 + 40 + name :][:stored]
-            inner = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
-            i = 0
-            while i < len(inner):
-                kind, n = struct.unpack_from("<BQ", inner, i)
-                (channel,) = struct.unpack_from("<H", inner, i + 9)
-                if kind == 0x04 and b"/image" in inner[i : i + 9 + n]:
-                    image.add(channel)
-                frames += kind == 0x05 and channel in image
-                i += 9 + n
-        at += 9 + length
-    return frames
-
-
-def kill_and_resume(
-    console: Console, label: str, whole: pl.DataFrame, after_s: float, after_frames: int = 0
-) -> int:
-    """One random moment: nothing flushed is lost, and the scan is finished as if nothing had been."""
-    part, flushed = killed(console, label, after_s, after_frames)
-    before = len(archive_of(console).scans())
-    if part is None:
-        console("repair")  # Killed while it was sealed, perhaps.
-        return -1
-    row = console.json("record", "--resume", "latest")
-    archive = archive_of(console)
-    chain = archive.chain(row["scan"])
-    if flushed:
-        assert row["continues"] == chain[0].scan
-        assert chain[0].ended == "salvaged"
-        assert chain[0].frames >= flushed
-    if not flushed and len(part) < 200:
-        return 0  # Not even its plan was written: the rig file's holds.
-    assert sum(s.frames for s in chain) == 61
-    console("process", row["scan"])
-    archive = archive_of(console)
-    assert points_of(archive, [s.scan for s in chain]).equals(whole)
-    assert len(archive.scans()) >= before
-    assert verify(archive) == []
-    return flushed
-
-
-def test_kill_9_loses_nothing_that_was_flushed(lab: Console) -> None:
-    row = lab.json("record", "--to-deg", "120", "--label", "whole")
-    whole = points_of(archive_of(lab), [row["scan"]])
-    rng = random.Random(5)
-    for n in range(2):
-        flushed = kill_and_resume(lab, f"k{n}", whole, rng.uniform(0, 0.1), rng.randint(2, 20))
-        assert 0 < flushed < 61
-
-
-@pytest.mark.slow
-def test_kill_9_at_fifty_random_moments(lab: Console) -> None:
-    row = lab.json("record", "--to-deg", "120", "--label", "whole")
-    whole = points_of(archive_of(lab), [row["scan"]])
-    rng = random.Random(11)
-    found = [kill_and_resume(lab, f"k{n}", whole, rng.uniform(0.3, 5.0)) for n in range(50)]
-    assert sum(0 < n < 61 for n in found) >= 5, found
-
-
-def test_killed_before_the_first_frame_resume_begins_anew(lab: Console) -> None:
-    archive = archive_of(lab)
-    with archive.new_scan(keep_part=True) as draft:
-        draft.part.write_bytes(b"\x89MCAP0\r\n")
-    done = lab("record", "--resume", draft.scan, "--json")
-    assert "recording from the beginning" in done.stderr
-    assert json.loads(done.stdout)["frames"] == 16
-
-
-def test_killed_after_its_last_frame_a_scan_is_done_when_it_is_salvaged(lab: Console) -> None:
-    lab("record", "--no-extract")
-    archive = archive_of(lab)
-    (scan,) = archive.scans()
-    folder = archive.root / "scans" / scan.scan
-    (folder / "scan.mcap").rename(folder / "scan.mcap.part")
-    (folder / "scan.json").unlink()
-    (folder / "manifest-sha256.txt").unlink()
-    (archive.root / "catalog.sqlite").unlink()
-    row = lab.json("record", "--resume", "latest")
-    assert (row["ended"], row["frames"]) == ("salvaged", 16)
-    assert verify(archive_of(lab)) == []
-
-
-def test_killed_before_its_first_frame_a_scan_keeps_its_plan(lab: Console) -> None:
-    from turnscan.schemas.events import ScanStart
-    from turnscan.store.log_writer import LogWriter
-
-    plan = {"to_deg": 10.0, "step_deg": 5.0}
-    with archive_of(lab).new_scan(keep_part=True) as draft:
-        writer = LogWriter(draft.part)
-        writer.write_event(
-            ScanStart(
-                t_ns=5,
-                scan=draft.scan,
-                rig="sim",
-                label="early",
-                source="simulated",
-                time_source="clock",
-                software="t",
-                plan=plan,
-            )
-        )
-        writer.flush()
-        writer.abandon()
-    done = lab("record", "--resume", "latest", "--json", "--no-extract")
-    row = json.loads(done.stdout)
-    assert (row["frames"], row["label"], row["continues"]) == (3, "early", None)
-
-
-def test_a_full_disk_stops_it_cleanly_and_keeps_what_was_written(lab: Console) -> None:
-    def limited() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (600_000, 600_000))
-
-    done = subprocess.run(
-        lab.command("record", "--to-deg", "340", "--no-extract"),
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=lab.cwd,
-        env=surroundings(),
-        preexec_fn=limited,
-        timeout=60,
-    )
-    assert done.returncode == 1, (done.stdout, done.stderr)
-    assert done.stderr.count("error: ") == 1
-    assert "no room" in done.stderr
-    assert "Traceback" not in done.stderr
-    # Not even its end can be written here: the limit holds for that, too.
-    assert "turnscan repair salvages it" in done.stderr
-    rest = lab.json("record", "--resume", "latest", "--no-extract")
-    archive = archive_of(lab)
-    first, second = archive.chain(rest["scan"])
-    assert first.ended == "salvaged"
-    assert first.frames > 5
-    assert first.frames + second.frames == 171
-    assert verify(archive) == []
-
-
-def test_a_disk_that_is_really_full_still_takes_the_end_of_the_log(lab: Console) -> None:
-    """Somebody else fills a small file system meanwhile: what was kept back ends the log well."""
-    disk = lab.cwd / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=24m", "turnscan-test", disk],
-        capture_output=True,
-        check=False,
-    )
-    if mounted.returncode:
-        pytest.skip("mounting a small file system needs rights")
-    try:
-        lab.archive = None
-        lab("init", disk / "lab")
-        lab.archive = disk / "lab"
-        (disk / "filler").write_bytes(bytes(2 << 20))
-        process = begin(lab, "--to-deg", "340", "--no-extract")
-        wait_for_frames(lab.archive, 5, process)
-        with (disk / "filler").open("ab", buffering=0) as filler:
-            try:
-                while True:
-                    filler.write(bytes(1 << 16))
-            except OSError:
-                pass
-        _, err = process.communicate(timeout=150)
-        assert process.returncode == 1, err
-        assert err.count("error: ") == 1
-        assert "no room" in err
-        archive = archive_of(lab)
-        (scan,) = archive.scans()
-        assert scan.ended == "interrupted"
-        assert 0 < scan.frames < 171
-        (disk / "filler").unlink()
-        assert verify(archive) == []
-        rest = lab.json("record", "--resume", "latest", "--no-extract")
-        assert scan.frames + rest["frames"] == 171
-    finally:
-        subprocess.run(["umount", "--lazy", disk], check=True)
-
-
-def test_too_little_room_is_said_before_anything_moves(lab: Console) -> None:
-    from turnscan.ingest.session import room
-
-    assert room.needed_bytes(10**9, 4000, 3000, "mono8") > 10**15
-    rig = lab.cwd / "rig.toml"
-    rig.write_text(rig.read_text().replace("step_deg = 2", "step_deg = 0.001\nframes_per_pose = 1000"))
-    error = lab.fails("record", "--to-deg", "360")
-    assert "the scan needs about" in error
-    assert "are free" in error
-    assert archive_of(lab).store.list("scans") == []
 
 
 @pytest.mark.parametrize(
