@@ -20,7 +20,7 @@ from .places import (
 from .recipes import RecipeOption
 
 if TYPE_CHECKING:
-    from ..ingest.session.order import Order, Recorded
+    from ..ingest.session.order import Begun, Order, Recorded
     from ..process.live import LiveExtraction
     from ..schemas.calibration import Calibration
     from ..schemas.events import ScanStart
@@ -227,16 +227,25 @@ def run(
     session = current_session()
     live: list[LiveExtraction] = []
 
-    def beside(scan: str, camera: str, started_ns: int, name: str | None) -> LiveExtraction | None:
+    def beside(begun: Begun) -> LiveExtraction | None:
         if recipe is None:
             return None
-        now = _Begun(scan, rig.name, started_ns, name)
         try:
-            calibration = archive.effective(now, "current").calibration
+            calibration = archive.effective(begun, "current").calibration
         except CalibrationError as error:
             session.say(f"no extraction beside the recording: {error}")
             return None
-        live.append(LiveExtraction(archive.root, LiveStart(scan, camera, recipe, calibration)))
+        camera = begun.camera
+        start = LiveStart(
+            begun.scan,
+            begun.camera_id,
+            recipe,
+            calibration,
+            width_px=camera.width_px,
+            height_px=camera.height_px,
+            encoding=camera.encoding,
+        )
+        live.append(LiveExtraction(archive.root, start))
         return live[0]
 
     lines = SerialLines()
@@ -276,14 +285,6 @@ def run(
     if result.interrupted:
         raise InterruptedSession
     return row
-
-
-class _Begun:
-    """What is known of a scan when its recording begins, as choosing its calibration wants it."""
-
-    def __init__(self, scan: str, rig: str, started_ns: int, calibration: str | None) -> None:
-        self.scan, self.rig = scan, rig
-        self.started_ns, self.calibration = started_ns, calibration
 
 
 def _report(result: Recorded, live: LiveExtraction | None, rig_file: Path | None) -> None:

@@ -37,7 +37,7 @@ class LiveProgress:
 
 
 class LiveExtraction:
-    """The process, as the recorder sees it: begin, finish, sealed, outcome; or stop at any time.
+    """The process, as the recorder sees it: begin, ready, finish, sealed, outcome; or stop at any time.
 
     No method raises because the process failed: :attr:`failure` says so, and the recording stands.
     """
@@ -47,6 +47,7 @@ class LiveExtraction:
         self._start = start
         self._pipe: Connection | None = None
         self._process: Any = None
+        self._ready = False
         self.progress = LiveProgress()
         self.outcome: Outcome | None = None
         self.failure: TurnscanError | None = None
@@ -61,6 +62,11 @@ class LiveExtraction:
         )
         self._process.start()
         theirs.close()
+
+    def ready(self) -> None:
+        """Wait until it could extract at once: on a new machine its code is compiled first."""
+        while self._pipe is not None and not self._ready:
+            self._receive(None)
 
     def look(self) -> LiveProgress:
         """The newest progress, without waiting."""
@@ -112,7 +118,9 @@ class LiveExtraction:
             message: tuple[Any, ...] = self._pipe.recv()
         except (EOFError, OSError):
             message = ("failed", InputError("the extraction process ended unexpectedly"))
-        if message[0] == "progress":
+        if message[0] == "ready":
+            self._ready = True
+        elif message[0] == "progress":
             self.progress = message[1]
         elif message[0] == "done":
             self.outcome = message[1]
@@ -127,10 +135,10 @@ def _follow(root: Path, part: Path, start: LiveStart, pipe: Connection) -> None:
     # Ctrl-C reaches the whole group: the recorder says when it is time to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    os.nice(_NICE)
     import cv2
 
     from .pipeline import derive_growing
+    from .warming import warm
 
     cv2.setNumThreads(1)
     told_at = 0.0
@@ -154,6 +162,10 @@ def _follow(root: Path, part: Path, start: LiveStart, pipe: Connection) -> None:
             raise InputError("the recorder did not seal its log")
 
     try:
+        warm(start.recipe, start.calibration, start.width_px, start.height_px, start.encoding)
+        pipe.send(("ready",))
+        # Somebody waited until here; from now on recording goes first.
+        os.nice(_NICE)
         whole = partial(heard, "finished")
         outcome = derive_growing(root, part, start, finished=whole, seal=seal, advance=advance)
         pipe.send(("done", outcome))

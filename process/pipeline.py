@@ -45,12 +45,16 @@ class LiveStart:
     """What is known of a scan when its recording begins, and what shall be derived of it.
 
     ``calibration`` is the one that holds now (None: none does); ``choice`` how it was chosen.
+    ``width_px``, ``height_px`` and ``encoding`` are what the camera says of its frames.
     """
 
     scan: str
     camera: str
     recipe: Recipe
     calibration: Calibration | None
+    width_px: int
+    height_px: int
+    encoding: str = "mono8"
     choice: str = "current"
 
 

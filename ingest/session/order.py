@@ -12,7 +12,7 @@ from ...schemas.errors import TurnscanError
 from ...schemas.events import LogEvent
 from ...schemas.manifests import ScanSummary
 from ...schemas.rig import ScanSettings
-from ..devices.contracts import Camera, Clock, Lasers, Turntable
+from ..devices.contracts import Camera, CameraInfo, Clock, Lasers, Turntable
 from .plan import Taken
 
 
@@ -103,6 +103,9 @@ class Beside(Protocol):
     def begin(self, part: Path) -> None:
         """Start following the growing log."""
 
+    def ready(self) -> None:
+        """Wait until it can keep up with the camera."""
+
     def finish(self) -> tuple[Any, str] | None:
         """The log is whole: its facts and SHA-256 (None if that failed)."""
 
@@ -110,8 +113,19 @@ class Beside(Protocol):
         """End at once."""
 
 
-#: Makes what runs beside: scan, camera, when it began, the id of its calibration.
-MakeBeside = Callable[[str, str, int, str | None], Beside | None]
+@dataclass(frozen=True)
+class Begun:
+    """What is known of a scan when its recording begins; ``calibration`` is the id of one."""
+
+    scan: str
+    rig: str
+    started_ns: int
+    calibration: str | None
+    camera_id: str
+    camera: CameraInfo
+
+
+MakeBeside = Callable[[Begun], Beside | None]
 Show = Callable[[Progress], None]
 
 

@@ -25,7 +25,7 @@ from ...store.log_writer import LogWriter
 from ..devices.contracts import CameraInfo, DeviceInfo
 from .floor import Floor, put_to_rest
 from .interrupts import InterruptedSession, Interrupts
-from .order import Beside, Devices, MakeBeside, Order, Recorded, Show
+from .order import Begun, Beside, Devices, MakeBeside, Order, Recorded, Show
 from .plan import PoseWork, Sweep, frames_of, sweeps_of, work_of
 from .recorder import QUEUE_BYTES, Recorder
 from .room import KeptBack, check_room, needed_bytes, size_text
@@ -157,9 +157,9 @@ class _Run:
             lines.go_to(recorder)
             # At once on the disk: what this is and what it plans is known even if it is killed now.
             recorder.settle(started_ns)
-            beside = self._begin_beside(started_ns, make_beside)
+            beside = self._begin_beside(started_ns, said[1], make_beside)
             try:
-                self._scan(floor, work)
+                self._scan(floor, work, beside)
             finally:
                 result.unsafe = floor.rest()
                 lines.go_to(None)
@@ -209,18 +209,25 @@ class _Run:
             line = LogLine(t_ns=started_ns, level="info", message=message)
             self._recorder.put(line)
 
-    def _begin_beside(self, started_ns: int, make_beside: MakeBeside) -> Beside | None:
-        calibration = self._order.calibration
-        name = None if calibration is None else calibration.calibration_id()
-        beside = make_beside(self._draft.scan, self._order.camera_id, started_ns, name)
+    def _begin_beside(
+        self, started_ns: int, camera: CameraInfo, make_beside: MakeBeside
+    ) -> Beside | None:
+        order = self._order
+        name = None if order.calibration is None else order.calibration.calibration_id()
+        beside = make_beside(
+            Begun(self._draft.scan, order.rig, started_ns, name, order.camera_id, camera)
+        )
         if beside is not None:
             beside.begin(self._draft.part)
         return beside
 
-    def _scan(self, floor: Floor, work: Work) -> None:
+    def _scan(self, floor: Floor, work: Work, beside: Beside | None) -> None:
         """Scan until it is done, or until something ends it: then the result says what."""
         poses, sweeps = work
         try:
+            if beside is not None:
+                with self._interrupts.let_in():
+                    beside.ready()
             if self._order.scan.mode == "step":
                 step_through(floor, poses)
             else:

@@ -14,15 +14,15 @@ from dataclasses import replace
 from typing import Final
 
 from ...schemas.errors import DeviceError, TurnscanError
-from ..devices.contracts import Position
+from ..devices.contracts import Position, Shot
 from .floor import Floor
 from .plan import Sweep
 
 _ASK_EVERY_S: Final = 0.015
-#: A report counts as the end of the sweep within this of its end angle.
 #: A report may be this much older or younger than its time says; slower ones are asked for again.
 _SURE_NS: Final = 2_000_000
 _LONGEST_GAP_NS: Final = 300_000_000
+#: A report counts as the end of the sweep within this of its end angle.
 _THERE_RAD: Final = math.radians(0.5)
 
 
@@ -58,6 +58,32 @@ def turn_through(floor: Floor, sweeps: Sequence[Sweep]) -> None:
         done += sweep.span_rad
 
 
+class Due:
+    """Which frames are kept where fewer are wanted than the camera gives, and which of these it lost.
+
+    Frames are due at equal times; of each the first one after it is kept.
+    """
+
+    def __init__(self, max_fps: float | None) -> None:
+        self._between_ns = None if max_fps is None else 1e9 / max_fps
+        self._due_ns: float | None = None
+        self._lost = 0
+
+    def take(self, shot: Shot) -> Shot | None:
+        """``shot`` if it is kept; it then says how many were lost before it that were due."""
+        between_ns = self._between_ns
+        if between_ns is None:
+            return shot
+        due_ns = shot.t_ns if self._due_ns is None else self._due_ns
+        self._lost += shot.dropped
+        if shot.t_ns < due_ns:
+            return None
+        lost = min(int((shot.t_ns - due_ns) // between_ns), self._lost)
+        self._lost = 0
+        self._due_ns = max(due_ns + (lost + 1) * between_ns, shot.t_ns + between_ns / 2)
+        return replace(shot, dropped=lost)
+
+
 class _Frames:
     """The camera's stream, taken by a thread until told to end."""
 
@@ -73,9 +99,7 @@ class _Frames:
         self._thread.start()
 
     def _take(self) -> None:
-        scan = self._floor.order.scan
-        between_ns = 0 if scan.max_fps is None else 1e9 / scan.max_fps
-        due_ns = 0.0
+        due = Due(self._floor.order.scan.max_fps)
         stream = self._floor.devices.camera.stream()
         try:
             for shot in stream:
@@ -84,10 +108,9 @@ class _Frames:
                 self.heard_at = time.monotonic()
                 self.count += 1
                 self.newest_ns = shot.t_ns
-                if shot.t_ns < due_ns:
-                    continue
-                due_ns = max(due_ns + between_ns, shot.t_ns + between_ns / 2)
-                self._floor.frame(shot, self._lasers, None, wait=False)
+                kept = due.take(shot)
+                if kept is not None:
+                    self._floor.frame(kept, self._lasers, None, wait=False)
             else:
                 self.failure = DeviceError(
                     f"the camera's stream ended after {self.count} frames",

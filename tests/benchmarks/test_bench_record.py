@@ -16,7 +16,7 @@ from turnscan.ingest.devices.building import build_controller, build_emulator
 from turnscan.ingest.devices.clock import SystemClock
 from turnscan.ingest.devices.contracts import CameraInfo, Clock, Shot
 from turnscan.ingest.session.interrupts import Interrupts
-from turnscan.ingest.session.order import Devices, Order
+from turnscan.ingest.session.order import Begun, Devices, Order
 from turnscan.ingest.session.session import SerialLines, record
 from turnscan.process.live import LiveExtraction
 from turnscan.process.pipeline import LiveStart
@@ -96,8 +96,8 @@ def test_twenty_seconds_without_a_pause(tmp_path: Path, width: int, height: int,
     )
     made: list[LiveExtraction] = []
 
-    def beside(scan: str, camera: str, *_: object) -> LiveExtraction:
-        start = LiveStart(scan, camera, BUILT_IN["default"], document)
+    def beside(begun: Begun) -> LiveExtraction:
+        start = LiveStart(begun.scan, "0", BUILT_IN["default"], document, width, height)
         made.append(LiveExtraction(archive.root, start))
         return made[0]
 

@@ -71,7 +71,7 @@ class Growing:
 
 
 def live_on(lab: Archive, draft: ScanDraft, recipe: Recipe = RECIPE, **more: object) -> LiveExtraction:
-    start = LiveStart(draft.scan, "0", recipe, calibration(**more))  # type: ignore[arg-type]
+    start = LiveStart(draft.scan, "0", recipe, calibration(**more), 64, 48)  # type: ignore[arg-type]
     live = LiveExtraction(lab.root, start)
     live.begin(draft.part)
     return live
@@ -147,7 +147,7 @@ def test_another_calibration_than_the_one_it_began_with_is_not_published(lab: Ar
         begun = calibration().model_copy(update={"rig": "r1"})
         assert begun.camera is not None
         other = begun.model_copy(update={"camera": begun.camera.model_copy(update={"fx_px": 301.0})})
-        live = LiveExtraction(lab.root, LiveStart(draft.scan, "0", BUILT_IN["paper"], other))
+        live = LiveExtraction(lab.root, LiveStart(draft.scan, "0", BUILT_IN["paper"], other, 64, 48))
         live.begin(draft.part)
         for _ in range(3):
             log.frame()
