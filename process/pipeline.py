@@ -8,13 +8,14 @@ STRIPES. The result does not depend on the workers, nor on their threads.
 from __future__ import annotations
 
 import logging
+import math
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from ..schemas.calibration import Calibration
 from ..schemas.errors import CalibrationError, InputError, TurnscanError
@@ -73,6 +74,10 @@ class Outcome:
     error: TurnscanError | None = None
 
 
+#: Small scans go into the catalogue together, so that it is not written more often than this.
+_ENTER_EVERY_S: Final = 0.25
+
+
 def derive(
     archive: Archive,
     scans: Sequence[ScanSummary],
@@ -99,15 +104,34 @@ def derive(
             advance(done + frames, total)
 
     plans = archive.plan(scans, recipe, calibration)
+    made: list[DerivationManifest] = []
     if workers > 1 and len(scans) > 1:
         jobs = [(archive.root, s, p, overlap) for s, p in zip(scans, plans, strict=True)]
-        outcomes = in_processes(min(workers, len(jobs)), _in_worker, jobs)
+        outcomes = _from_workers(min(workers, len(jobs)), jobs, made)
     else:
-        outcomes = (_one(archive, s, p, overlap, step) for s, p in zip(scans, plans, strict=True))
-    for scan, outcome in zip(scans, outcomes, strict=True):
-        done += scan.frames
-        step(0)
-        yield outcome
+        outcomes = (_one(archive, s, p, overlap, made, step) for s, p in zip(scans, plans, strict=True))
+    waiting: list[Outcome] = []
+    entered_at = -math.inf
+    try:
+        for scan, outcome in zip(scans, outcomes, strict=True):
+            done += scan.frames
+            step(0)
+            waiting.append(outcome)
+            if time.monotonic() - entered_at >= _ENTER_EVERY_S:
+                _enter(archive, made)
+                yield from waiting
+                waiting.clear()
+                entered_at = time.monotonic()
+    finally:
+        # Whatever ended it: what was published is known.
+        _enter(archive, made)
+    yield from waiting
+
+
+def _enter(archive: Archive, made: list[DerivationManifest]) -> None:
+    if made:
+        archive.enter(made)
+        made.clear()
 
 
 def _one(
@@ -115,12 +139,13 @@ def _one(
     scan: ScanSummary,
     plan: Plan | TurnscanError,
     overlap: bool,
+    made: list[DerivationManifest],
     step: Callable[[int], None] | None = None,
 ) -> Outcome:
     if isinstance(plan, TurnscanError):
         return Outcome(scan.scan, error=plan)
     try:
-        return derive_scan(archive, plan, overlap, step)
+        return derive_scan(archive, plan, made, overlap, step)
     except TurnscanError as error:
         return Outcome(scan.scan, error=error)
 
@@ -131,17 +156,35 @@ def _archive(root: Path) -> Archive:
     return Archive.open(root)
 
 
-def _in_worker(root: Path, scan: ScanSummary, plan: Plan | TurnscanError, overlap: bool) -> Outcome:
+def _in_worker(
+    root: Path, scan: ScanSummary, plan: Plan | TurnscanError, overlap: bool
+) -> tuple[Outcome, list[DerivationManifest]]:
+    """The outcome, and what was published."""
+    made: list[DerivationManifest] = []
     try:
-        return _one(_archive(root), scan, plan, overlap)
+        return _one(_archive(root), scan, plan, overlap, made), made
     except TurnscanError as error:
-        return Outcome(scan.scan, error=error)
+        return Outcome(scan.scan, error=error), made
+
+
+def _from_workers(
+    workers: int, jobs: list[tuple[Any, ...]], made: list[DerivationManifest]
+) -> Iterator[Outcome]:
+    for outcome, published in in_processes(workers, _in_worker, jobs):
+        made += published
+        yield outcome
 
 
 def derive_scan(
-    archive: Archive, plan: Plan, overlap: bool = True, step: Callable[[int], None] | None = None
+    archive: Archive,
+    plan: Plan,
+    made: list[DerivationManifest],
+    overlap: bool = True,
+    step: Callable[[int], None] | None = None,
 ) -> Outcome:
     """Derive and publish what ``plan`` finds missing; ``overlap`` as in :func:`derive`.
+
+    What was published is added to ``made``, for the catalogue.
 
     Raises
     ------
@@ -156,10 +199,12 @@ def derive_scan(
     reasons = archive.why_missing(plan)
     check_size(plan.calibration.intrinsics_or_fail(), plan.scan.width_px, plan.scan.height_px)
     if plan.stripes is None:
-        stripes, points = _derive_from_log(archive, plan, overlap, step)
+        stripes, points = _derive_from_log(archive, plan, made, overlap, step)
     else:
         stripes = plan.stripes
         points = plan.points or _derive_points(archive, plan, stripes, overlap)
+        if plan.points is None:
+            made.append(points)
     return Outcome(
         scan=plan.scan.scan,
         derived=plan.missing,
@@ -173,7 +218,11 @@ def derive_scan(
 
 
 def _derive_from_log(
-    archive: Archive, plan: Plan, overlap: bool, step: Callable[[int], None] | None
+    archive: Archive,
+    plan: Plan,
+    made: list[DerivationManifest],
+    overlap: bool,
+    step: Callable[[int], None] | None,
 ) -> tuple[DerivationManifest, DerivationManifest]:
     """STRIPES, and POINTS of the very rows that STRIPES hold, while the log is read once."""
     tally = Tally()
@@ -200,12 +249,9 @@ def _derive_from_log(
             points.take(batch)
         stripes.finish({**_fields(plan, "stripes"), **tally.fields()})
         points.finish(tally.frames, tally.empty, stripes.rows)
-        made = [stripes.publish()]
-        try:
-            made.append(draft.publish())
-        finally:
-            archive.enter(made)
-    return made[0], made[1]
+        made.append(stripes.publish())
+        made.append(draft.publish())
+    return made[-2], made[-1]
 
 
 class _Points:
@@ -284,6 +330,7 @@ def derive_growing(
     archive.enter([stripes])
     LOG.info("%s: stripes sealed", plan.scan.scan)
     points = _derive_points(archive, plan, stripes, overlap=False)
+    archive.enter([points])
     return Outcome(
         scan=plan.scan.scan,
         derived=("stripes", "points"),
@@ -323,9 +370,7 @@ def _derive_points(
         for batch in archive.read(stripes):
             points.take(batch)
         points.finish(stripes.frames, stripes.frames_without_stripe, stripes.rows)
-        made = draft.publish()
-    archive.enter([made])
-    return made
+        return draft.publish()
 
 
 def _fields(plan: Plan, kind: str) -> dict[str, Any]:

@@ -9,11 +9,14 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any, TypeVar
+from multiprocessing import forkserver, resource_tracker
+from multiprocessing.context import ForkServerContext
+from typing import Any, Final, TypeVar
 
 from ..schemas.errors import InputError
 
 Result = TypeVar("Result")
+_BLAS_THREADS: Final = "OPENBLAS_NUM_THREADS"
 
 
 def in_processes(
@@ -29,8 +32,7 @@ def in_processes(
     InputError
         A worker was killed from outside.
     """
-    # Spawned, not forked: polars, pyarrow and OpenCV have threads that a fork would leave in pieces.
-    context = multiprocessing.get_context("spawn")
+    context = _server()
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare)
     pending: dict[Future[Result], int] = {}
     done: dict[int, Result] = {}
@@ -61,6 +63,30 @@ def in_processes(
         pool.shutdown(cancel_futures=True)
 
 
+def _server() -> ForkServerContext:
+    """What workers are forked from: a process that has imported everything once, and has no threads.
+
+    Not this one: polars, pyarrow and OpenCV have threads here that a fork would leave in pieces.
+    """
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["__main__", "turnscan.process.loaded"])
+    before = os.environ.get(_BLAS_THREADS)
+    # It starts its threads when it is imported.
+    os.environ[_BLAS_THREADS] = "1"
+    # Ctrl-C reaches the whole group, and is not for the server. (The tracker would unblock it again.)
+    resource_tracker.ensure_running()
+    unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
+        if before is None:
+            del os.environ[_BLAS_THREADS]
+        else:
+            os.environ[_BLAS_THREADS] = before
+    return context
+
+
 def _prepare() -> None:
     """In each worker: die quietly of Ctrl-C and with the parent, leave other cores to other workers."""
     import cv2
@@ -68,6 +94,7 @@ def _prepare() -> None:
     # A parent that is killed cannot tell its workers: they would wait for jobs for ever.
     threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     cv2.setNumThreads(1)
 
 
