@@ -4,6 +4,8 @@ imported this module, and from nothing else is it imported.
 
 from __future__ import annotations
 
+import signal
+
 import cv2
 
 from ..schemas.calibration import Calibration, Intrinsics, LaserPlane, TurntableAxis
@@ -11,6 +13,9 @@ from ..schemas.recipe import BUILT_IN
 from . import pipeline  # noqa: F401 (for the workers)
 from .warming import warm
 
+# Loading may take half a minute, the first time: Ctrl-C ends it, without a word.
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 # A thread here would be missing in the workers.
 cv2.setNumThreads(1)
 

@@ -69,11 +69,12 @@ def _server() -> ForkServerContext:
     Not this one: polars, pyarrow and OpenCV have threads here that a fork would leave in pieces.
     """
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["__main__", "turnscan.process.loaded"])
+    context.set_forkserver_preload(["turnscan.process.loaded", "__main__"])
     before = os.environ.get(_BLAS_THREADS)
     # It starts its threads when it is imported.
     os.environ[_BLAS_THREADS] = "1"
-    # Ctrl-C reaches the whole group, and is not for the server. (The tracker would unblock it again.)
+    # Ctrl-C reaches the whole group: until the server can end by it without a traceback, it waits. (The
+    # tracker would let it in again.)
     resource_tracker.ensure_running()
     unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

@@ -15,9 +15,10 @@ import pytest
 from bench import best_cpu, calibration, frames, show
 from stripes import CASES, STEP, empty
 
-from turnscan.process.camera import undistort_points
 from turnscan.process.extract import METHODS, extract_stripe
-from turnscan.process.triangulate import scene_points
+from turnscan.process.stages import PointChain
+from turnscan.process.stripe_columns import StripeColumns
+from turnscan.schemas.recipe import BUILT_IN
 
 pytestmark = pytest.mark.benchmark
 
@@ -100,15 +101,14 @@ def test_speed_against_a_median(width: int, height: int) -> None:
     salt = [STEP["0.1 % salt"].frame(SEED + i, width, height)[0] for i in range(8)]
     lying = [np.ascontiguousarray(f.T) for f in shown]
     dark = [f // 10 for f in shown]
-    document = calibration(width, height)
-    camera, plane = document.intrinsics_or_fail(), document.plane_or_fail(0)
-    axis = document.axis_or_fail()
+    chain = PointChain(BUILT_IN["default"], calibration(width, height))
 
     def to_scene() -> object:
-        found = np.concatenate([extract_stripe(f) for f in shown])
-        u, v = np.ascontiguousarray(found["u_px"]), found["row"].astype(np.float64)
-        xn, yn = undistort_points(u, v, camera)
-        return scene_points(xn, yn, np.full(len(xn), 0.3), plane, axis)
+        """As a scan is derived: points of many frames together, with the deviation of their range."""
+        columns = StripeColumns()
+        for n, f in enumerate(shown):
+            columns.add(extract_stripe(f), frame=n, t_ns=n, angle_rad=0.3, laser=0)
+        return [chain.points(part) for part in columns.rest()]
 
     works = {
         "limit": lambda: [cv2.medianBlur(f, 3) for f in shown],

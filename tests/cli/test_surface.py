@@ -311,7 +311,8 @@ def test_an_interrupted_process_leaves_nothing_half_done(console: Console, tiny_
     console.archive = archive = console.cwd / "lab"
     photos = write_frames(console.cwd / "photos", 1, size=(640, 480))
     data = (photos / "img0.png").read_bytes()
-    for i in range(1, 80):
+    # So many that it is not over before a busy machine has looked.
+    for i in range(1, 320):
         (photos / f"img{i}.png").write_bytes(data)
     calibration = json.loads((tiny_files / "cal.json").read_text())
     calibration["camera"] |= {"width_px": 640, "height_px": 480}
@@ -334,7 +335,9 @@ def test_an_interrupted_process_leaves_nothing_half_done(console: Console, tiny_
         running.send_signal(signal.SIGINT)
         out, said = running.communicate(timeout=60)
     assert running.returncode == 130, said
-    assert said == "error: interrupted\n"
+    # Where this is the first to process, it says before that it compiles.
+    assert said.splitlines()[-1] == "error: interrupted"
+    assert "Traceback" not in said
     assert out == ""
     assert not [p for p in (archive / "derived").rglob("*") if p.is_file()]
     assert not list((archive / "staging").iterdir())

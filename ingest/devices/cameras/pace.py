@@ -19,6 +19,8 @@ _LONGEST: Final = 1.5
 _ENOUGH: Final = 12
 _FEW: Final = 3
 _LONG_NS: Final = 500_000_000
+#: In less time than this, frames may all have waited somewhere.
+_SHORT_NS: Final = 100_000_000
 #: The rate is judged over this time, or over so many periods if they are longer.
 _WINDOW_NS: Final = 1_300_000_000
 _WINDOW_PERIODS: Final = 6
@@ -73,12 +75,18 @@ class Pace:
 
     def _learn(self, interval: int, arrived_ns: int) -> None:
         self._first.append(interval)
-        known = self._first
-        if len(known) >= _ENOUGH or (len(known) >= _FEW and sum(known) >= _LONG_NS):
-            # Frames buffered while opening come at once and would pull a median down.
-            self.period_ns = max(1, int(np.quantile(known, 0.75, method="higher")))
-            self._since_ns = arrived_ns
-            self._recent.clear()
+        known, took_ns = self._first, sum(self._first)
+        if took_ns < _SHORT_NS or (len(known) < _ENOUGH and (len(known) < _FEW or took_ns < _LONG_NS)):
+            return
+        # Frames buffered while opening come at once and would pull a median down.
+        period_ns = int(np.quantile(known, 0.75, method="higher"))
+        if period_ns < _SHORTEST * took_ns / len(known):
+            # Most of them came at once, after a pause: no rhythm.
+            del known[: len(known) // 2]
+            return
+        self.period_ns = period_ns
+        self._since_ns = arrived_ns
+        self._recent.clear()
 
     def rate_hz(self, now_ns: int) -> float | None:
         """Frames a second over the last window; None until a whole one has passed in a known rhythm."""

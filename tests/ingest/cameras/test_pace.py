@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -34,6 +35,21 @@ def test_frames_buffered_while_opening_do_not_count_for_the_period() -> None:
     pace = Pace()
     run(pace, [0, 0.1, 0.2, 0.3, *range(10, 110, 10)])
     assert pace.period_ns == 10 * MS
+
+
+@pytest.mark.parametrize("at_once", [14, 54, 200])
+@pytest.mark.parametrize("pause_ms", [0, 20, 900])
+def test_however_many_come_at_once_the_period_is_the_others(at_once: int, pause_ms: int) -> None:
+    """A machine that is busy while the camera opens hands out all that has queued up."""
+    arrivals = [0, pause_ms * MS]
+    for _ in range(at_once):
+        arrivals.append(arrivals[-1] + MS // 12)
+    for _ in range(60):
+        arrivals.append(arrivals[-1] + 16 * MS)
+    pace = Pace()
+    for arrived_ns in arrivals:
+        pace.note(arrived_ns)
+    assert pace.period_ns == pytest.approx(16 * MS, rel=0.1)
 
 
 def test_a_lost_frame_is_counted_once_the_rhythm_is_back() -> None:
