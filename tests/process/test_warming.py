@@ -63,7 +63,12 @@ print(len(before), sorted(compiled() - before))
 
 @pytest.mark.parametrize(
     ("encoding", "recipe"),
-    [("mono8", "default"), ("mono16", "default"), ("bgr8", "default"), ("mono8", "paper")],
+    [
+        ("mono8", "default"),
+        ("mono8", "paper"),
+        pytest.param("mono16", "default", marks=pytest.mark.slow),
+        pytest.param("bgr8", "default", marks=pytest.mark.slow),
+    ],
 )
 def test_the_first_real_frame_finds_everything_loaded(
     tmp_path: Path, encoding: str, recipe: str
