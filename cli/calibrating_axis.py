@@ -213,7 +213,8 @@ def calibrate_axis_command(
     if observations is not None and not dry_run:
         from ..process.calibrate.observed import one_observation, turning_of
 
-        size_sd = 0.0 if sized is None else math.sqrt(sized.own_variance) / sized.scale
+        # With what the laser's plane leaves open: refine moves the plane, but not this size after it.
+        size_sd = 0.0 if sized is None else math.sqrt(sized.variance) / sized.scale
         turning = turning_of(fit, math.radians(angle_sd_deg), size_sd)
         seen = one_observation(
             (camera.width_px, camera.height_px), turning=turning, inputs=quality.inputs

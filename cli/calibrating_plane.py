@@ -93,6 +93,10 @@ def calibrate_plane_command(
     min_tilt_deg: Annotated[
         float, typer.Option("--min-tilt-deg", help="Gate: largest angle between two boards.")
     ] = 5.0,
+    min_agreeing: Annotated[
+        float,
+        typer.Option("--min-agreeing", help="Gate: share of views with lines that agree on the plane."),
+    ] = 0.4,
     picture: PictureOption = None,
     observations: ObservationsOption = None,
     overwrite: OverwriteOption = False,
@@ -139,6 +143,7 @@ def calibrate_plane_command(
         most_rms=max_rms_percent / 100.0,
         most_sigma=max_sigma_percent / 100.0,
         least_tilt_deg=min_tilt_deg,
+        least_agreeing=min_agreeing,
     )
     inputs = used_inputs(found, {v.name for v in watched.views})
     judged = []

@@ -51,6 +51,8 @@ def diff_calibrations(
         session.say(f"warning: no shifts in mm: {error}")
         moved = []
     chosen_style = chosen(style, as_json)
+    if moved and difference.in_camera_space(a, b):
+        session.say("note: shifts are in camera space, as a calibration has no axis")
     if chosen_style is Format.json:
         value = {
             "first": a.calibration_id(),
@@ -58,6 +60,7 @@ def diff_calibrations(
             "parts": [asdict(p) for p in parts],
             "parameters": rows,
             "shifts": moved,
+            "space": "camera" if difference.in_camera_space(a, b) else "scene",
         }
         emit_object(value, chosen_style)
         return

@@ -12,6 +12,7 @@ from .places import CalibrationArgument, open_archive, parse_time, show_time
 
 if TYPE_CHECKING:
     from ..schemas.archive_events import Certified
+    from ..schemas.calibration import Calibration
     from ..store import Archive
     from ..store.certifying import Certifying, Change
 
@@ -106,7 +107,7 @@ def carry_out(
 
 def _say_meaning(archive: Archive, meant: Certifying) -> None:
     session = current_session()
-    for text in meant.warnings:
+    for text in (*meant.warnings, *_lacking(meant.calibration)):
         session.say(f"warning: {text}")
     for old in meant.overlaps:
         session.say(
@@ -114,6 +115,19 @@ def _say_meaning(archive: Archive, meant: Certifying) -> None:
             f"by {old.id}: where both hold, the new one does"
         )
     _say_changes(archive, meant.changes)
+
+
+def _lacking(calibration: Calibration) -> list[str]:
+    """What scans that it comes to hold for will miss; a calibration may well have some parts only."""
+    parts = {
+        "camera": calibration.camera is not None,
+        "laser's plane": bool(calibration.lasers),
+        "turntable axis": calibration.turntable is not None,
+    }
+    missing = [name for name, there in parts.items() if not there]
+    if not missing:
+        return []
+    return [f"it has no {' and no '.join(missing)}: no points can be made of a scan while it holds"]
 
 
 def _say_changes(archive: Archive, changes: tuple[Change, ...]) -> None:

@@ -104,16 +104,17 @@ def _ranges(canvas: Canvas, box: Box, told: Any) -> None:
 def _lengths(canvas: Canvas, box: Box, shifts: Shifts) -> None:
     """How many points have a shift of which length."""
     edges, counts = shifts.length_histogram()
+    most = 1.06 * (float(counts.max()) or 1.0)
     _axes(
         canvas,
         box,
         (0.0, float(edges[-1])),
-        (0.0, float(counts.max())),
+        (0.0, most),
         "length of the shift, mm",
         "points",
     )
     left = _scaled(edges, 0.0, float(edges[-1]), box[0], box[2]).round().astype(int)
-    top = _scaled(counts, 0.0, float(counts.max()) or 1.0, box[3], box[1]).round().astype(int)
+    top = _scaled(counts, 0.0, most, box[3], box[1]).round().astype(int)
     for i, y in enumerate(top):
         canvas[y : box[3] * _OVER, left[i] + 1 : max(left[i + 1], left[i] + 2)] = _RMS
     _frame(canvas, box)

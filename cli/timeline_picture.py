@@ -29,7 +29,7 @@ _HOLDING: list[Colour] = [(178, 114, 0), (115, 158, 0), (0, 159, 230), (167, 121
 
 def draw(rigs: dict[str, Band], out: Path, *, width_px: int = 1200) -> None:
     """Write the PNG; raises a StorageError if it cannot be written."""
-    heights = [58 + 30 * len(entries) + 34 for entries, _, _ in rigs.values()]
+    heights = [34 + 30 * len(entries) + 36 for entries, _, _ in rigs.values()]
     height_px = 30 + (sum(heights) or 60)
     canvas = np.full((height_px * _OVER, width_px * _OVER, 3), 255, np.uint8)
     top = 12
@@ -68,16 +68,17 @@ def _band(canvas: np.ndarray, rig: str, band: Band, top: int, width_px: int) -> 
         colour = _WITHDRAWN if entry.state == "withdrawn" else _REPLACED
         ends = (x(event.from_ns, _LEFT), max(x(event.to_ns, right), x(event.from_ns, _LEFT) + 2))
         _box(canvas, ends[0], y + 9, ends[1], y + 15, colour)
+        shade = _HOLDING[names.index(event.calibration) % len(_HOLDING)]
         for some in entry.effective:
-            shade = _HOLDING[names.index(event.calibration) % len(_HOLDING)]
-            _box(
-                canvas,
-                x(some[0], _LEFT),
-                y + 3,
-                max(x(some[1], right), x(some[0], _LEFT) + 2),
-                y + 21,
-                shade,
-            )
+            begins, stops = x(some[0], _LEFT), max(x(some[1], right), x(some[0], _LEFT) + 2)
+            _box(canvas, begins, y + 3, stops, y + 21, shade)
+        # A range without an end goes on beyond the picture: an arrow says so.
+        if event.from_ns is None:
+            holds = any(some[0] is None for some in entry.effective)
+            _arrow(canvas, _LEFT, y + 12, -1, shade if holds else colour)
+        if event.to_ns is None:
+            holds = any(some[1] is None for some in entry.effective)
+            _arrow(canvas, right, y + 12, 1, shade if holds else colour)
         _text(canvas, event.calibration, 36, y + 17, 0.48)
         forced = ", forced" if event.objections else ""
         _text(canvas, entry.state + forced, right + 16, y + 17, 0.45)
@@ -86,6 +87,12 @@ def _band(canvas: np.ndarray, rig: str, band: Band, top: int, width_px: int) -> 
         _box(canvas, at, bottom + 2, at + 2, bottom + 14, _INK)
     if scans:
         _text(canvas, "scans", 36, bottom + 13, 0.45)
+
+
+def _arrow(canvas: np.ndarray, x: int, y: int, way: int, colour: Colour) -> None:
+    """A triangle at x whose tip points left (-1) or right (1)."""
+    corners = [(x, y - 9), (x, y + 9), (x + 10 * way, y)]
+    cv2.fillConvexPoly(canvas, np.array(corners, np.int32) * _OVER, colour, cv2.LINE_AA)
 
 
 def _box(canvas: np.ndarray, x0: int, y0: int, x1: int, y1: int, colour: Colour) -> None:

@@ -179,7 +179,7 @@ def result_of(
     spare = len(off) / max(1.0, len(off) - 2.0)
     step = np.diff(off[np.argsort(nominal)])
     return AxisFit(
-        point_mm=_point(state, s, head),
+        point_mm=origin_of(state, s, head),
         direction=state.direction,
         positive_turn="counterclockwise" if seen_sense > 0 else "clockwise",
         head=head,
@@ -218,7 +218,7 @@ def bodies_at_zero(state: Turning, s: Sightings) -> Floats:
     return np.einsum("nij,nj->ni", state.rotations[body], keys[:, 1:]) + state.translations_mm[body]
 
 
-def _point(state: Turning, s: Sightings, head: Head) -> Floats:
+def origin_of(state: Turning, s: Sightings, head: Head) -> Floats:
     """The origin of turntable space on the axis.
 
     Where the bodies' plane crosses it (the table's top); else beside the middle of the bodies; for a
@@ -246,7 +246,7 @@ def _lift(fitted: Adjusted, s: Sightings, head: Head) -> Floats:
             step = np.zeros(width)
             step[k] = sign * size
             moved = moved_by(fitted.turning, step, fitted.across, Prior(fitted.turning.phi_rad, 0.0))
-            ends.append(np.concatenate([_point(moved, s, head), moved.direction]))
+            ends.append(np.concatenate([origin_of(moved, s, head), moved.direction]))
         out[:, k] = (ends[0] - ends[1]) / (2.0 * size)
     return out
 

@@ -17,7 +17,14 @@ import numpy.typing as npt
 from ...schemas.board import Board
 from ...schemas.errors import InputError
 from .chessboard import explain_missing, find_classic, find_sector
-from .lattice import Grey, check_chessboard, disturbed, edge_blur_px, examine
+from .lattice import (
+    Grey,
+    check_chessboard,
+    disturbed,
+    edge_blur_px,
+    examine,
+    in_one_piece,
+)
 from .patterns import Cause, Found, Refusal, find_charuco, find_circles
 
 Floats = npt.NDArray[np.float64]
@@ -28,6 +35,8 @@ WIDEST_WINDOW_PX = 11
 #: Half-window as a share of the smallest square: clear of the next corner for any direction of the
 #: edges.
 WINDOW_SHARE = 0.4
+#: At least this share of the corners must be clear of a stripe.
+_CLEAR_SHARE = 0.5
 #: A blur this wide, as a share of a square, leaves corners that move with the window.
 BLUR_SHARE = 0.07
 #: ... but less than this is sharp, however small the squares.
@@ -113,6 +122,7 @@ def find_board(
     window_px: int | None = None,
     detector: Detector = "auto",
     strict: bool = True,
+    hidden: npt.NDArray[np.bool_] | None = None,
 ) -> BoardView | NoBoard:
     """The board in ``image``, or why it cannot be used.
 
@@ -121,13 +131,14 @@ def find_board(
     (Duda and Frese 2018, needs none), ``auto`` (classic, and sector where classic finds nothing or
     nothing that holds). Without ``strict``, what the detector says is taken as it is: no test of
     the grid, the corners, the blur. A chessboard or circle grid must be whole; of a ChArUco board
-    any 6 corners not in a line will do.
+    any 6 corners not in a line will do. ``hidden`` (H, W) marks what a laser's stripe lights: corners
+    of a chessboard whose windows reach it are left out before the others are tested.
     """
     grey = grey8(image)
     if int(grey.max()) - int(grey.min()) < 20:
         return NoBoard(name, "flat", f"nothing in it: grey values span {grey.min()} to {grey.max()}")
     if board.kind == "chessboard":
-        return _chessboard(grey, board, name, window_px, detector, strict=strict)
+        return _chessboard(grey, board, name, window_px, detector, hidden, strict=strict)
     finder = find_charuco if board.kind == "charuco" else find_circles
     found = finder(grey, board)
     if isinstance(found, Refusal):
@@ -136,7 +147,14 @@ def find_board(
 
 
 def _chessboard(
-    grey: Grey, board: Board, name: str, window_px: int | None, detector: Detector, *, strict: bool
+    grey: Grey,
+    board: Board,
+    name: str,
+    window_px: int | None,
+    detector: Detector,
+    hidden: npt.NDArray[np.bool_] | None,
+    *,
+    strict: bool,
 ) -> BoardView | NoBoard:
     failed: NoBoard | None = None
     partial: BoardView | None = None
@@ -153,7 +171,7 @@ def _chessboard(
         if corners is None:
             continue
         found = Found(np.arange(board.points), corners, way)
-        view = _view(grey, board, name, found, window_px, strict=strict)
+        view = _view(grey, board, name, found, window_px, hidden, strict=strict)
         if isinstance(view, NoBoard):
             if view.cause == "blur":
                 return view
@@ -180,7 +198,14 @@ def _right_handed(points_px: Floats, board: Board) -> Floats:
 
 
 def _view(
-    grey: Grey, board: Board, name: str, found: Found, window_px: int | None, *, strict: bool
+    grey: Grey,
+    board: Board,
+    name: str,
+    found: Found,
+    window_px: int | None,
+    hidden: npt.NDArray[np.bool_] | None = None,
+    *,
+    strict: bool,
 ) -> BoardView | NoBoard:
     points, ids = found.points_px, found.ids
     if board.kind == "chessboard":
@@ -193,15 +218,27 @@ def _view(
         window = window_px or _window(grey, points, ids, board, rough.square_px)
         points = _refined(grey, points, window)
     blur = np.nan
-    lattice = examine(points, ids, board)
-    dropped = disturbed(points, ids, board) if lattice.wrong else np.empty(0, np.int64)
+    lit = np.empty(0, np.int64)
+    clear = np.ones(len(ids), np.bool_)
+    if hidden is not None:
+        clear = ~_reaches(hidden, points, window)
+        lit = np.asarray(ids)[~clear]
+        left = np.asarray(ids)[clear]
+        if clear.sum() < _CLEAR_SHARE * len(clear) or not in_one_piece(points[clear], left, board):
+            why = (
+                f"a stripe hides {lit.size} of its {board.points} corners, the others are no flat board"
+            )
+            return NoBoard(name, "grid", why)
+    lattice = examine(points[clear], np.asarray(ids)[clear], board)
+    wanted = lattice.wrong and hidden is None
+    dropped = disturbed(points, ids, board) if wanted else np.empty(0, np.int64)
     if strict and lattice.wrong and not dropped.size:
         return NoBoard(name, "grid", lattice.wrong + _too_wide(window, rough.square_px))
     if board.kind == "chessboard":
-        wrong, faint = check_chessboard(grey, points, board)
+        wrong, faint = check_chessboard(grey, points, board, lit)
         if strict and wrong is not None:
             return NoBoard(name, wrong.cause, wrong.reason)
-        dropped = np.union1d(dropped, faint)
+        dropped = np.unique(np.concatenate([dropped, faint, lit])).astype(np.int64)
         blur = edge_blur_px(grey, points, board)
         if strict and blur > max(SHARP_PX, BLUR_SHARE * lattice.median_px):
             return NoBoard(
@@ -228,6 +265,15 @@ def _view(
         blur_px=blur,
         detector=found.detector,
     )
+
+
+def _reaches(hidden: npt.NDArray[np.bool_], points: Floats, window_px: int) -> npt.NDArray[np.bool_]:
+    """Which points (N, 2) have a window that reaches a hidden pixel."""
+    size = 2 * window_px + 1
+    near = cv2.dilate(hidden.astype(np.uint8), np.ones((size, size), np.uint8))
+    column, row = np.rint(points).astype(int).T
+    height, width = near.shape
+    return np.asarray(near[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)] > 0, np.bool_)
 
 
 def _too_wide(window_px: int, square_px: float) -> str:

@@ -28,7 +28,7 @@ from .camera_checks import (
 from .covariance import Uncertainty, uncertainty_of
 from .projection import NAMES
 from .start import Fix, start_camera
-from .suspects import blurred_views, contradiction, drop_corners, suspect_views
+from .suspects import blurred_views, contradiction, drop_corners, flipped_view, suspect_views
 
 Floats = npt.NDArray[np.float64]
 
@@ -180,24 +180,32 @@ def _without_suspects(
     left_out: list[LeftOut] = []
     most = int(_MOST_LEFT_OUT * len(views))
     while True:
-        views, dropped = drop_corners(views, bundle)
-        left_out += dropped
-        if dropped:
-            bundle = _again(views, bundle, fix)
-        suspects = suspect_views(views, bundle) if len(views) > FEWEST_VIEWS else []
-        if not suspects and not dropped:
-            return views, bundle, left_out
-        if suspects:
+        many = len(views) > FEWEST_VIEWS
+        # A view the wrong way round first: it is told by what would mend it, not by how far it is off.
+        flipped = flipped_view(views, bundle) if many else None
+        if flipped is not None:
+            at, why = flipped.view, flipped.sentence()
+            better = _again(views[:at] + views[at + 1 :], bundle, fix, without=at)
+        else:
+            views, dropped = drop_corners(views, bundle)
+            left_out += dropped
+            if dropped:
+                bundle = _again(views, bundle, fix)
+            suspects = suspect_views(bundle) if many else []
+            if not suspects:
+                if not dropped:
+                    return views, bundle, left_out
+                continue
             tries = {i: _again(views[:i] + views[i + 1 :], bundle, fix, without=i) for i in suspects}
             at = min(tries, key=lambda i: tries[i].rms_px())
-            why = contradiction(views[at], tries[at])
-            if sum(" corner" not in item.what for item in left_out) >= most:
-                raise CalibrationError(
-                    f"more than {most} views contradict the others, {views[at].name} next: {why}",
-                    hint="look at the picture with --keep-all-views; is it one camera and one board?",
-                )
-            left_out.append(LeftOut(what=views[at].name, why=why))
-            views, bundle = views[:at] + views[at + 1 :], tries[at]
+            better, why = tries[at], contradiction(views[at], tries[at])
+        if sum(" corner" not in item.what for item in left_out) >= most:
+            raise CalibrationError(
+                f"more than {most} views contradict the others, {views[at].name} next: {why}",
+                hint="look at the picture with --keep-all-views; is it one camera and one board?",
+            )
+        left_out.append(LeftOut(what=views[at].name, why=why))
+        views, bundle = views[:at] + views[at + 1 :], better
 
 
 def _again(

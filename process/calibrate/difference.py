@@ -193,10 +193,12 @@ def shifts(
 ) -> list[Shift]:
     """Shifts of the stripe's points for every laser that both calibrations know.
 
+    In turntable space; in camera space where one of them has no axis (:func:`in_camera_space`).
+
     Raises
     ------
     CalibrationError
-        A calibration lacks camera or axis, they are for frames of different size, or they have no
+        A calibration lacks its camera, they are for frames of different size, or they have no
         laser in common.
     """
     camera, other = first.intrinsics_or_fail(), second.intrinsics_or_fail()
@@ -212,7 +214,8 @@ def shifts(
             "the calibrations have no laser in common, so no points can be compared",
             hint="turnscan calibration show ID shows what a calibration holds",
         )
-    before, after = (_points_at(c) for c in (first, second))
+    camera_space = in_camera_space(first, second)
+    before, after = (_points_at(c, camera_space=camera_space) for c in (first, second))
     out = []
     for laser in lasers:
         for at in ranges_mm:
@@ -221,14 +224,21 @@ def shifts(
     return out
 
 
-def _points_at(calibration: Calibration) -> Callable[[Floats, Floats, int], tuple[Floats, Floats]]:
-    """Function of pixels and laser: points in turntable space, and their ranges."""
-    camera, axis = calibration.intrinsics_or_fail(), calibration.axis_or_fail()
-    place = turntable_from_camera(axis)
+def in_camera_space(first: Calibration, second: Calibration) -> bool:
+    """Whether points can be compared in camera space only, as one of the two has no axis."""
+    return first.turntable is None or second.turntable is None
+
+
+def _points_at(
+    calibration: Calibration, *, camera_space: bool
+) -> Callable[[Floats, Floats, int], tuple[Floats, Floats]]:
+    """Function of pixels and laser: points in turntable (or camera) space, and their ranges."""
+    camera = calibration.intrinsics_or_fail()
+    place = None if camera_space else turntable_from_camera(calibration.axis_or_fail())
 
     def points(u: Floats, v: Floats, laser: int) -> tuple[Floats, Floats]:
         p = intersect(*undistort_points(u, v, camera), calibration.plane_or_fail(laser))
-        return place(p), range_of(p)
+        return p if place is None else place(p), range_of(p)
 
     return points
 

@@ -25,6 +25,7 @@ class PlaneLimits:
     most_sigma: float = 0.005
     least_spread: float = 0.02
     least_tilt_deg: float = 5.0
+    least_agreeing: float = 0.4
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,7 @@ def plane_quality(
         Gate.at_most("residual rms", fit.rms_mm, limits.most_rms * reach, "mm"),
         Gate.at_most("sigma at the stripes", worst_sigma_mm(fit), limits.most_sigma * reach, "mm"),
         Gate.at_least("spread of the stripes", fit.spread_mm[1], limits.least_spread * reach, "mm"),
+        Gate.at_least("views that agree", fit.used / max(1, fit.offered), limits.least_agreeing),
         Gate.at_least("tilt between boards", fit.tilt_range_deg, limits.least_tilt_deg, "deg"),
     )
     words = ", ".join(f"{s:.2g} mm at {r / 1000:.3g} m" for r, s in range_sigmas_mm(fit))
@@ -69,6 +71,11 @@ def plane_quality(
         )
     if not intrinsics_known:
         notes.append("the camera's intrinsics have no covariance: they count as exact here")
+    if fit.used < limits.least_agreeing * fit.offered:
+        notes.append(
+            f"{fit.offered} views show straight lines, {fit.used} agree on this plane: edges of a "
+            "scene without a stripe do so by chance, and ranges by such a plane mean nothing"
+        )
     if not gates[-1].passed:
         notes.append(
             f"all boards face the same way within {fit.tilt_range_deg:.1f} deg: an error that their "

@@ -129,6 +129,24 @@ def _involved(grid: Floats, board: Board, limit: float) -> list[tuple[int, int]]
     return [(int(r), int(c)) for r, c in np.argwhere(mark)]
 
 
+def in_one_piece(points_px: npt.ArrayLike, ids: npt.ArrayLike, board: Board) -> bool:
+    """Whether one smooth surface holds all points, also those on both sides of a gap in the grid.
+
+    No third difference reaches across a missing column. A polynomial of third degree over the board
+    follows perspective and lens, as third differences do, but no step from one part to the other.
+    """
+    seen = np.asarray(points_px, np.float64)
+    column, row = np.asarray(ids) % board.cols, np.asarray(ids) // board.cols
+    x, y = 2.0 * column / (board.cols - 1) - 1.0, 2.0 * row / (board.rows - 1) - 1.0
+    design = np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
+    if len(seen) < 2 * design.shape[1]:
+        return False
+    rest = seen - design @ np.linalg.lstsq(design, seen, rcond=None)[0]
+    # A single corner that is off by so much makes a third difference twice as large.
+    limit = 0.5 * _limit_px(examine(points_px, ids, board).median_px)
+    return bool(np.linalg.norm(rest, axis=1).max() <= limit)
+
+
 def _bent(points_px: npt.ArrayLike, ids: npt.ArrayLike, board: Board) -> float:
     flat = board.object_points_mm()[np.asarray(ids), :2]
     seen = np.asarray(points_px, np.float64)
@@ -171,17 +189,18 @@ def _corner_margin(image: Grey, grid: Floats) -> Floats:
 
 
 def check_chessboard(
-    image: Grey, points_px: npt.ArrayLike, board: Board
+    image: Grey, points_px: npt.ArrayLike, board: Board, lit: npt.NDArray[np.int64] | None = None
 ) -> tuple[Refusal | None, npt.NDArray[np.int64]]:
     """What contradicts a full chessboard grid in the image itself, and which points do.
 
     A few points that do not look like corners (a reflection, a finger) are named, and are no
-    contradiction.
+    contradiction. Nor are those that a stripe is known to light.
     """
     grid = as_grid(points_px, np.arange(board.points), board)
     margin = _corner_margin(image, grid)
     middle = float(np.median(margin))
     bad = np.flatnonzero(margin < _FAINT * middle) if middle > 0 else np.arange(board.points)
+    bad = bad if lit is None else np.setdiff1d(bad, lit)
     if bad.size > most_disturbed(board):
         why = (
             f"{bad.size} of {board.points} points are no corners of a chessboard: bright and dark "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,16 @@ import numpy.typing as npt
 from ...schemas.calibration import Intrinsics, LaserPlane
 from ...schemas.errors import CalibrationError
 from .chained import Follower
-from .plane_consensus import LEAST_VIEWS, Choice, PlaneView, consensus, finite, on_board
+from .plane_consensus import (
+    LEAST_BASE,
+    LEAST_VIEWS,
+    STANDS_STILL,
+    Choice,
+    PlaneView,
+    consensus,
+    finite,
+    on_board,
+)
 from .plane_fit import (
     corner_sigma_px,
     follow_intrinsics,
@@ -51,7 +60,8 @@ class PlaneFit:
     ``covariance`` (4, 4) nx ny nz distance_mm holds all that is known to be uncertain; ``conditional``
     leaves the intrinsics' share out; ``by_intrinsics`` (4, 10) is how the plane follows them.
     ``points_mm`` (N, 3) are the stripe points used, ``view_of_point`` (N,) their view;
-    ``unexplained_mm`` is the standard deviation of a view beyond what corners and stripe explain.
+    ``unexplained_mm`` is the standard deviation of a view beyond what corners and stripe explain;
+    ``offered`` how many views show any straight line.
     """
 
     normal: Floats
@@ -65,6 +75,7 @@ class PlaneFit:
     unexplained_mm: float
     spread_mm: tuple[float, float]
     tilt_range_deg: float
+    offered: int
     left_out: tuple[tuple[str, str], ...] = field(default=())
 
     @property
@@ -151,6 +162,7 @@ def _fit(chosen: list[Choice], views: Sequence[PlaneView], camera: Intrinsics) -
                 left.append((c.view.name, f"its stripe is {off} off the plane of the others"))
         used = [c for c, good in zip(used, keep, strict=True) if good]
     _check_spread(used, information, basis)
+    _check_base(used, distance)
     lift = np.zeros((4, 3))
     lift[:3, :2], lift[3, 2] = basis, 1.0
     conditional = lift @ np.linalg.inv(information) @ lift.T
@@ -167,9 +179,10 @@ def _fit(chosen: list[Choice], views: Sequence[PlaneView], camera: Intrinsics) -
         if v.name not in names | known:
             why = "no straight stripe was found" if not v.lines else "no stripe on the board's plane"
             left.append((v.name, why))
-    return _package(
+    fit = _package(
         used, chosen, extra, normal, distance, (covariance, conditional, by_intrinsics), left, camera
     )
+    return replace(fit, offered=sum(bool(v.lines) for v in views))
 
 
 def _farthest(views: int) -> float:
@@ -221,8 +234,24 @@ def _package(
         unexplained_mm=float(extra_mm[0]),
         spread_mm=(float(extent[0]), float(extent[1])),
         tilt_range_deg=float(angles.max()),
+        offered=len(used),
         left_out=tuple(left),
     )
+
+
+def _check_base(used: Sequence[Choice], distance_mm: float) -> None:
+    """Refuse a plane through the camera's centre: it is what a line that stands still makes."""
+    points = np.concatenate([finite(on_board(c.line, c.view.pose)) for c in used])
+    reach = float(np.median(np.linalg.norm(points, axis=1)))
+    if abs(distance_mm) < LEAST_BASE * reach:
+        # Across the plane a thousandth of the range, which boards and pixels hardly keep.
+        off = 1e-3 * reach * reach / max(abs(distance_mm), 1e-9)
+        raise CalibrationError(
+            f"the lines of {len(used)} views make a plane that passes the camera's centre at "
+            f"{abs(distance_mm):.1f} mm, with boards {reach:.0f} mm away: nothing can be measured with "
+            f"it; a point {1e-3 * reach:.1f} mm off it would be {off:.0f} mm off in range",
+            hint=STANDS_STILL,
+        )
 
 
 def _check_spread(used: Sequence[Choice], information: Floats, basis: Floats) -> None:

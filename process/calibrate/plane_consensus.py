@@ -21,10 +21,16 @@ from .stripe_lines import StripeLine
 Floats = npt.NDArray[np.float64]
 
 LEAST_VIEWS = 3
+#: Fewer views than this agree by chance when each offers several lines.
+_FEW = 5
 #: Off-plane distance, as a share of the range, at which a stripe may still be the laser's.
 _CONSENSUS = 0.006
 #: A plane closer to the camera's centre than this share of the range measures nothing.
-_LEAST_BASE = 0.01
+LEAST_BASE = 0.01
+STANDS_STILL = (
+    "stripes that stand still while the board moves are on the wall behind it, not on the board; let "
+    "the stripe fall on the board, and move the board"
+)
 _HYPOTHESES = 4000
 
 
@@ -106,8 +112,16 @@ def consensus(
         raise CalibrationError(
             f"no {LEAST_VIEWS} views agree on {which}: no stripes on their boards lie in one plane "
             f"that a camera {reach:.0f} mm away could measure with",
-            hint="stripes that stand still while the board moves are on the wall behind it, not on "
-            "the board; let the stripe fall on the board, and move the board",
+            hint=STANDS_STILL,
+        )
+    offered = len(np.unique(view_of))
+    if len(chosen) < _FEW and 2 * len(chosen) < offered:
+        raise CalibrationError(
+            f"of {offered} views that show straight lines only {len(chosen)} agree on a plane, as "
+            "edges of the scene do by chance: there seems to be no stripe, and ranges by such a plane "
+            f"would mean nothing (the boards are {reach:.0f} mm away)",
+            hint="is the laser on? darken the room, or give pairs with the laser off; leave out images "
+            "without it",
         )
     return chosen
 
@@ -125,6 +139,6 @@ def _hypotheses(
     distance = np.einsum("hi,hi->h", normal, middle[:, 0])
     flat = size[:, 2] < 2.0 * _CONSENSUS * reach
     wide = size[:, 1] > 3.0 * size[:, 2]
-    base = np.abs(distance) > _LEAST_BASE * reach
+    base = np.abs(distance) > LEAST_BASE * reach
     good = flat & wide & base
     return normal[good], distance[good]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -82,6 +83,8 @@ def watch(
     for frame in frames:
         check_size(frame.name, frame.image, camera)
         found = find_board(frame.image if frame.off is None else frame.off, board, name=frame.name)
+        if isinstance(found, NoBoard) and found.cause == "grid" and frame.off is None:
+            found = _beside_stripes(frame, board, camera, found, horizontal, lasers, seed)
         if isinstance(found, NoBoard):
             left.append((frame.name, found.reason))
             continue
@@ -102,6 +105,44 @@ def watch(
         channel = _best_channel(seen, camera, horizontal, lasers, seed) if colour else "luma"
     views = [_with_lines(s, channel, camera, horizontal, lasers, seed) for s in seen]
     return Watched(tuple(views), tuple(left), channel)
+
+
+def _beside_stripes(
+    frame: LaserFrame,
+    board: Board,
+    camera: Intrinsics,
+    refused: NoBoard,
+    horizontal: bool,
+    lasers: int,
+    seed: int,
+) -> BoardView | NoBoard:
+    """The board by the corners that no bright stripe reaches; or ``refused``, if those hold no better.
+
+    A stripe along a column of corners pulls all of them, and the whole grid is refused for it.
+    """
+    grey = to_grey(frame.image, Grey(mode="luma"))
+    lines = find_stripe_lines(grey, camera, horizontal=horizontal, most=lasers + 3, seed=seed)
+    best: BoardView | None = None
+    # Several lasers cross a board at once; of other sets of lines those of the print would hide most.
+    for count in range(1, lasers + 1):
+        for chosen in combinations(lines, count):
+            hidden = np.logical_or.reduce([_lit(line, grey.shape) for line in chosen])
+            found = find_board(frame.image, board, name=frame.name, hidden=hidden)
+            if isinstance(found, BoardView) and (
+                best is None or found.irregular_px < best.irregular_px
+            ):
+                best = found
+    return refused if best is None else best
+
+
+def _lit(line: StripeLine, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+    """The pixels (H, W) within a stripe's reach of its course, over the whole image."""
+    across, along = (line.v_px, line.u_px) if line.along_v else (line.u_px, line.v_px)
+    count, width = (shape[1], shape[0]) if line.along_v else (shape[0], shape[1])
+    # Lenses bend it a little.
+    course = np.polyval(np.polyfit(along, across, 2), np.arange(count))
+    near = np.abs(np.arange(width) - course[:, None]) <= _STRIPE_REACH_PX
+    return np.asarray(near.T if line.along_v else near, np.bool_)
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,11 @@ from ...schemas.errors import CalibrationError, InputError
 from ...schemas.observations import Observations
 from .camera import free_directions
 from .refine_data import Data, check_references, data_of, joined
-from .refine_judge import Reference, contradictions, enlargement, judged_references
+from .refine_judge import Pulls, Reference, contradictions, judged_references, pulls
+from .refine_parts import document_slopes, origin_height_mm, with_origin
 from .refine_solve import Solution, solve
 from .refine_start import first_sigmas, first_state, with_references
-from .refine_state import Layout, State, tangents_of
+from .refine_state import Layout, State
 from .start import Fix
 
 Floats = npt.NDArray[np.float64]
@@ -43,8 +44,9 @@ _SINGLE: tuple[tuple[int, Fix], ...] = (
 class Refined:
     """The adjusted parts with their joint covariance, and how the observations fit.
 
-    ``order`` and ``covariance`` are those of the document's joint part. ``birge`` (>= 1) is how much
-    sigmas were enlarged because boards or walls contradict each other.
+    ``order`` and ``covariance`` are those of the document's joint part; ``slopes`` is how its numbers
+    follow the calibration's unknowns. By ``birge`` (>= 1) sigmas were enlarged because boards or walls
+    contradict each other; ``pulls`` says which do.
     """
 
     start: Calibration
@@ -53,7 +55,8 @@ class Refined:
     layout: Layout
     order: tuple[str, ...]
     covariance: Floats
-    birge: float
+    slopes: Floats
+    pulls: Pulls
     references: tuple[Reference, ...]
     fixed: tuple[Fix, ...]
 
@@ -61,6 +64,11 @@ class Refined:
     def state(self) -> State:
         """The solution's state."""
         return self.solution.state
+
+    @property
+    def birge(self) -> float:
+        """How much all sigmas were enlarged."""
+        return self.pulls.birge
 
     def calibration(self) -> Calibration:
         """The document: parts that were adjusted with their joint covariance, others as they were."""
@@ -136,12 +144,12 @@ def refine(
     data, layout, solution = _solved(seen, active, fixed)
     references = judged_references(data, layout, solution)
     contradictions(references)
-    birge = enlargement(layout, solution)
-    order, lift = _lift(active, layout, solution.state)
-    inner = layout.calibration
-    covariance = birge**2 * lift @ solution.inverse[:inner, :inner] @ lift.T
+    pulled = pulls(layout, solution)
+    height_mm = origin_height_mm(data, first_state(data, active), active)
+    order, lift = document_slopes(data, layout, solution.state, active, height_mm)
+    covariance = pulled.birge**2 * lift @ solution.inverse @ lift.T
     full = replace(
-        solution.state,
+        with_origin(data, solution.state, active, height_mm),
         normals=np.array([p.normal for p in start.lasers], np.float64).reshape(-1, 3),
         distances_mm=np.array([p.distance_mm for p in start.lasers], np.float64),
     )
@@ -157,7 +165,8 @@ def refine(
         layout=layout,
         order=order,
         covariance=0.5 * (covariance + covariance.T),
-        birge=birge,
+        pulls=pulled,
+        slopes=lift[:, : layout.calibration],
         references=references,
         fixed=fixed,
     )
@@ -212,26 +221,6 @@ def held(camera: Intrinsics) -> tuple[Fix, ...]:
     if variance[0] > 0 and abs(c[0, 1]) >= (1.0 - 1e-9) * np.sqrt(variance[0] * variance[1]):
         out.append("aspect")
     return tuple(out)
-
-
-def _lift(active: Calibration, layout: Layout, state: State) -> tuple[tuple[str, ...], Floats]:
-    """The order of the document's numbers, and how they follow the calibration's unknowns."""
-    order = ["intrinsics", *(f"plane/{p.laser}" for p in active.lasers)]
-    rows = 10 + 4 * len(active.lasers) + (6 if layout.axis else 0)
-    out = np.zeros((rows, layout.calibration))
-    m = layout.free.shape[1]
-    out[:10, :m] = layout.free
-    for k, basis in enumerate(tangents_of(state.normals)):
-        at = m + 3 * k
-        out[10 + 4 * k : 13 + 4 * k, at : at + 2] = basis
-        out[13 + 4 * k, at + 2] = 1.0
-    if layout.axis:
-        order.append("axis")
-        across = tangents_of(state.direction[None])[0]
-        at = layout.axis.start
-        out[-6:-3, at : at + 2] = across
-        out[-3:, at + 2 : at + 4] = across
-    return tuple(order), out
 
 
 def _three(v: Floats) -> tuple[float, float, float]:

@@ -90,8 +90,22 @@ def contradictions(references: Sequence[Reference]) -> None:
     )
 
 
-def enlargement(layout: Layout, solution: Solution) -> float:
-    """Birge's ratio: how much harder boards and walls pull at the calibration than noise would; or 1.
+@dataclass(frozen=True)
+class Pulls:
+    """How boards and walls pull against each other.
+
+    ``birge`` (>= 1) is Birge's ratio: how much harder they pull at the calibration than noise would.
+    ``without`` (C, m): of each cluster (a board's number; walls and spheres after them), in order of
+    ``cluster`` (C,), by how much the calibration's m unknowns would move without it.
+    """
+
+    birge: float
+    cluster: npt.NDArray[np.int64]
+    without: Floats
+
+
+def pulls(layout: Layout, solution: Solution) -> Pulls:
+    """What each cluster says of the calibration against all the others.
 
     As ``covariance._birge``: the unknowns of each cluster are eliminated from its own normal equations,
     which leaves what the cluster says of the calibration alone.
@@ -103,7 +117,9 @@ def enlargement(layout: Layout, solution: Solution) -> float:
     cluster = np.concatenate([_clusters(b, i) for i, b in enumerate(blocks)])
     j = matrix_of(blocks, layout)
     inverse = solution.inverse[:inner, :inner]
-    pull, free, spread, count = 0.0, 0.0, 0.0, 0
+    whole = np.asarray(np.linalg.inv(inverse), np.float64)
+    pull, free, spread = 0.0, 0.0, 0.0
+    each, without = [], []
     for number in np.unique(cluster):
         mine = np.flatnonzero(cluster == number)
         rows = j[mine]
@@ -125,12 +141,24 @@ def enlargement(layout: Layout, solution: Solution) -> float:
         rest = part - part @ part
         free += float(np.trace(rest))
         spread += 2.0 * float(np.einsum("ij,ji->", rest, rest))
-        count += 1
-    if count < 4 or free <= 0.05 * inner:
-        return 1.0
+        each.append(int(number))
+        without.append(_without(whole, normal, gradient))
+    clusters, moves = np.array(each, np.int64), np.array(without).reshape(-1, inner)
+    if len(each) < 4 or free <= 0.05 * inner:
+        return Pulls(1.0, clusters, moves)
     ratio = pull / free
     chance = 1.0 + 3.0 * float(np.sqrt(spread)) / free
-    return float(np.sqrt(ratio)) if ratio > chance else 1.0
+    return Pulls(float(np.sqrt(ratio)) if ratio > chance else 1.0, clusters, moves)
+
+
+def _without(whole: Floats, normal: Floats, gradient: Floats) -> Floats:
+    """How far the unknowns move when a cluster is taken out; 0 where the others do not hold them."""
+    rest = whole - normal
+    unit = 1.0 / np.sqrt(np.diag(whole))
+    weights, axes = np.linalg.eigh(rest * np.outer(unit, unit))
+    held = weights > 1e-9 * weights.max()
+    step = (axes[:, held].T @ (gradient * unit)) / weights[held]
+    return np.asarray(unit * (axes[:, held] @ step), np.float64)
 
 
 def _clusters(block: Block, number: int) -> npt.NDArray[np.int64]:

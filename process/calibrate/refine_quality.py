@@ -8,9 +8,12 @@ import numpy as np
 
 from ...schemas.calibration import Calibration
 from ...schemas.quality import Gate, LeftOut, Quality
-from ..uncertainty import sigma_range_mm
+from ..uncertainty import range_slopes, sigma_range_mm
 from .difference import RANGES_MM, stripe_pixels
 from .refine import Refined
+
+#: Where pulls are told in mm, and of how many boards.
+_AT_MM, _NAMED = 1000.0, 3
 
 
 @dataclass(frozen=True)
@@ -62,10 +65,20 @@ def refine_quality(
         )
     if s.memory > 2.0:
         told.append(f"{s.memory:.0f} neighbouring rows of a stripe err together; they count as one")
+    if s.stripe > limits.most_stripe:
+        stated = float(np.median(fit.data.stripes.sigma_px))
+        found = s.stripe * stated
+        at_1m = 1e3 * found / float(fit.state.camera[0])
+        told.append(
+            f"stripes scatter by {found:.2g} px ({at_1m:.2g} mm at 1 m), and state {stated:.2g} px: a "
+            "surface that is not straight under them, or a lens that the model does not fit; where "
+            "boards bend, one part after the other is safer"
+        )
     if fit.birge > 1.0:
         told.append(
             f"boards and walls pull against each other {fit.birge:.2g} times as hard as their noise "
-            "says: all sigmas were enlarged by it"
+            f"says: all sigmas were enlarged by it{_worst_pulls(fit, calibration)}; boards that bend, "
+            "or images with another focus, do so: refine with one set of images, or leave those out"
         )
     if fit.start.turntable is not None and not fit.layout.axis:
         told.append("the axis was kept as it was: no observations of a turning table were given")
@@ -83,6 +96,30 @@ def refine_quality(
         left_out=left_out,
         notes=tuple(told),
     )
+
+
+def _worst_pulls(fit: Refined, calibration: Calibration) -> str:
+    """The boards without which ranges at 1 m would move most, and by how many mm."""
+    moves: dict[str, float] = {}
+    camera = calibration.intrinsics_or_fail()
+    for plane in calibration.lasers:
+        role = f"plane/{plane.laser}"
+        u, v = stripe_pixels(calibration, plane.laser, _AT_MM)
+        if role not in fit.order or not len(u):
+            continue
+        _, slopes = range_slopes(u, v, along_v=False, camera=camera, plane=plane)
+        at = 10 + 4 * [r for r in fit.order if r.startswith("plane/")].index(role)
+        follow = slopes @ fit.slopes[[*range(10), *range(at, at + 4)]]
+        for number, step in zip(fit.pulls.cluster, fit.pulls.without, strict=True):
+            if 0 <= number < len(fit.data.board_names):
+                name = fit.data.board_names[number]
+                rms = float(np.sqrt(np.mean((follow @ step) ** 2)))
+                moves[name] = max(moves.get(name, 0.0), rms)
+    worst = sorted(moves, key=lambda n: -moves[n])[:_NAMED]
+    if not worst:
+        return ""
+    words = ", ".join(f"{name} {moves[name]:.2g} mm" for name in worst)
+    return f" (ranges at {_AT_MM / 1000:g} m would move most without {words})"
 
 
 def systematic_mm(calibration: Calibration, laser: int) -> list[tuple[float, float]]:

@@ -8,11 +8,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from console import Console, Inside
+from console import Console, Inside, every_file
 
 from turnscan.process.calibrate.pose import rotation_of
 from turnscan.process.camera import project
-from turnscan.schemas.calibration import Calibration, parse_calibration
+from turnscan.schemas.calibration import Calibration, Intrinsics, parse_calibration
 from turnscan.schemas.document import dump_json
 
 sys.path.append(str(Path(__file__).parents[1] / "process" / "calibrate"))
@@ -111,6 +111,49 @@ def test_frames_without_a_stripe_make_no_plane(
     said = console.fails("calibrate", "plane", folder, *BOARD, "-c", camera, "-o", "plane.json")
     assert "in 0 of 5 views" in said or "no 3 views agree" in said
     assert not (tmp_path / "plane.json").exists()
+
+
+@pytest.mark.slow
+def test_photographs_without_a_laser_make_no_plane(
+    console: Console, test_data: Path, tmp_path: Path
+) -> None:
+    """Edges of a room are straight, too, and some of them agree on a plane by chance."""
+    camera = Intrinsics(
+        width_px=640, height_px=480, fx_px=533.3, fy_px=533.4, cx_px=342.1, cy_px=234.0,
+        distortion=(-0.28, 0.03, 0.001, 0.0, 0.16),
+    )  # fmt: skip
+    path = tmp_path / "camera.json"
+    path.write_bytes(dump_json(Calibration(rig="left", camera=camera).plain()))
+    before = every_file(tmp_path)
+    said = console.fails(
+        "calibrate", "plane", test_data / "opencv_left", "--pattern", "9x6", "--square-mm", "25",
+        "-c", path, "-o", "plane.json",
+    )  # fmt: skip
+    assert "agree on a plane, as edges of the scene do by chance" in said
+    assert "mm away" in said
+    assert every_file(tmp_path) == before
+
+
+@pytest.mark.slow
+def test_a_bright_edge_that_stands_still_is_no_stripe(
+    console: Console, test_data: Path, tmp_path: Path
+) -> None:
+    """Behind these boards is a white edge of a door, in the same place of all images."""
+    path = tmp_path / "camera.json"
+    camera = Intrinsics(
+        width_px=640, height_px=480, fx_px=620.3, fy_px=618.6, cx_px=322.9, cy_px=239.4,
+        distortion=(0.1137, -0.1937, -0.0011, -0.0022, -0.0352),
+    )  # fmt: skip
+    path.write_bytes(dump_json(Calibration(rig="srv", camera=camera).plain()))
+    before = every_file(tmp_path)
+    said = console.fails(
+        "calibrate", "plane", test_data / "srv_turntable" / "camera_calibration", "--pattern", "8x6",
+        "--square-mm", "40", "-c", path, "-o", "plane.json",
+    )  # fmt: skip
+    assert "passes the camera's centre at" in said
+    assert "mm off in range" in said
+    assert "stand still" in said
+    assert every_file(tmp_path) == before
 
 
 def test_a_stripe_on_the_wall_is_not_on_the_boards(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import pytest
 from console import Inside, every_file, write_json
 
@@ -109,6 +110,22 @@ def test_consequences_are_told_in_scans_and_mm(lab: Inside, recorded: str, moved
     assert "is not certified" in lab.fails("calibration", "withdraw", recorded)
 
 
+def test_a_calibration_that_lacks_parts_says_what_scans_will_miss(lab: Inside) -> None:
+    paths = [
+        write(lab, "camera.json", 150.5, lasers=[], turntable=None),
+        write(lab, "bare.json", 150.5, turntable=None),
+        write(lab, "moved.json", 150.5),
+    ]
+    name, bare, moved = (lab("calibration", "add", path).stdout.strip() for path in paths)
+    events = every_file(lab.cwd / "lab" / "events")
+    said = lab("calibration", "certify", name, "--dry-run").stderr
+    assert "no laser's plane and no turntable axis: no points can be made of a scan" in said
+    assert every_file(lab.cwd / "lab" / "events") == events
+    told = lab.run("calibration", "diff", moved, bare)
+    assert "shifts are in camera space" in told.stderr
+    assert lab.json("calibration", "diff", moved, bare)["space"] == "camera"
+
+
 @pytest.mark.parametrize(
     ("text", "t_ns"),
     [
@@ -144,7 +161,12 @@ def test_the_timeline(lab: Inside, recorded: str, moved: str) -> None:
     assert third.rstrip().endswith("holds")
     assert ">" in third
     assert shown[at + 4].strip().startswith("scans")
-    assert cv2.imread(str(lab.cwd / "timeline.png")).shape[1] == 1200
+    drawn = cv2.imread(str(lab.cwd / "timeline.png"))
+    assert drawn.shape[1] == 1200
+    # Right of the axis (960 px), below its dates: the arrow of the third certification, without an end.
+    tips = (drawn[46:, 964] < 250).any(axis=1)
+    assert (np.diff(tips.astype(int)) == 1).sum() == 1
+    assert 60 <= np.flatnonzero(tips).min() < 90
     rows = {r["calibration"]: r for r in lab.json("calibration", "list")}
     (entry,) = rows[recorded]["certifications"]
     assert (entry["state"], entry["withdrawn_note"]) == ("withdrawn", "the camera was touched")

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
-from rendered_chain import BOARD, PRINTED
+from rendered_chain import BOARD, PRINTED, RenderedRig
 
 from turnscan.ingest.room.boards import BoardCamera, BoardView
 from turnscan.ingest.room.built_in import room_calibration
 from turnscan.ingest.room.rig import SimulatedRig
 from turnscan.process.calibrate.board_print import EDGE_PX, whitened
+from turnscan.process.calibrate.boards import BoardView as BoardFound
+from turnscan.process.calibrate.boards import NoBoard, find_board
 from turnscan.process.calibrate.plane_views import LaserFrame, watch
 from turnscan.process.calibrate.pose import BoardPose, board_poses, rotation_of
 from turnscan.process.calibrate.stripe_lines import StripeLine, find_stripe_lines
@@ -106,3 +110,51 @@ def test_corners_that_the_stripe_pulls_are_left_out(pairs: bool) -> None:
         near = np.abs(true[:, 0] - np.interp(true[:, 1], truth.row, truth.u_px)) < 10
         assert 27 <= len(true) < 54
         assert not near.any()
+
+
+def bright_frames(count: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Boards lit by a laser that outshines the room: images, and where the corners are."""
+    rig = RenderedRig(2)
+    bright = Emitter(laser=0, stripe_dn_at_1m=250.0, line_sigma_mm=0.2)
+    sim = SimulatedRig(rig.true, emitters=[bright])
+    camera = BoardCamera(sim, light=rig.light, sensor=rig.sensor, blur_px=0.8)
+    for i in range(count):
+        pose = rig._pose((450.0, 1300.0), at_stripe=True)
+        seen = camera.look(PRINTED, pose, seed=2, frame=i, lasers=(0,))
+        yield seen.image, seen.corners_px
+
+
+def test_a_bright_stripe_along_a_column_of_corners_costs_these_alone() -> None:
+    camera = RenderedRig(2).true.intrinsics_or_fail()
+    refused = 0
+    for image, corners in bright_frames(6):
+        if isinstance(find_board(image, BOARD), BoardFound):
+            continue
+        refused += 1
+        (view,) = watch([LaserFrame("lit.png", image)], BOARD, camera, channel="luma").views
+        assert len(view.corners_px) >= 40
+        # Every corner that is kept is where it should be.
+        off = np.linalg.norm(view.corners_px[:, None] - corners[None], axis=2).min(axis=1)
+        assert off.max() < 0.2
+    assert refused >= 3, "whole grids are refused for one bright stripe"
+
+
+def test_a_hidden_column_lets_no_broken_grid_in() -> None:
+    """On both sides of the stripe the grid is regular, but the sides do not go together."""
+    dark = look(())
+    found = find_board(dark.image, BOARD)
+    assert isinstance(found, BoardFound)
+    middle = found.points_px.reshape(6, 9, 2)[:, 4, 0].mean()
+    hidden = np.zeros(dark.image.shape, np.bool_)
+    hidden[:, int(middle) - 12 : int(middle) + 13] = True
+    plain = find_board(dark.image, BOARD, hidden=hidden)
+    assert isinstance(plain, BoardFound)
+    assert not plain.whole
+    broken = dark.image.copy()
+    lower = np.roll(dark.image, round(0.45 * found.square_px), axis=0)
+    broken[:, int(middle) :] = lower[:, int(middle) :]
+    assert isinstance(find_board(broken, BOARD, hidden=hidden), NoBoard)
+    hidden[:, : int(middle) + 60] = True
+    few = find_board(dark.image, BOARD, hidden=hidden)
+    assert isinstance(few, NoBoard)
+    assert "a stripe hides" in few.reason

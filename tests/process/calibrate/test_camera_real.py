@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -60,6 +61,21 @@ def test_srv_meets_its_published_intrinsics_within_one_sigma(test_data: Path) ->
     assert abs(estimate.parameters()["fx_px"] - 620.26784) < 1.31
     assert estimate.bundle.rms_px() < 0.15
     assert camera_quality(estimate, CameraLimits()).verdict == "passed"
+
+
+def test_a_mirrored_photograph_among_plain_ones_is_told(test_data: Path) -> None:
+    """3.5 px between principal point and middle are enough, in most views."""
+    views = views_of(look(test_data / "srv_turntable" / "camera_calibration", "*.jpg", (8, 6), 40))
+    told = 0
+    for at in range(0, 27, 5):
+        grid = views[at].points_px.reshape(6, 8, 2)[:, ::-1].reshape(-1, 2)
+        mirrored = replace(views[at], points_px=grid * (-1, 1) + (639, 0))
+        estimate = calibrate_camera([*views[:at], mirrored, *views[at + 1 :]])
+        assert {item.what for item in estimate.left_out} <= {views[at].name}
+        told += any("px rms, mirrored " in item.why for item in estimate.left_out)
+        # Told or not, one in 27 does little harm.
+        assert abs(estimate.parameters()["fx_px"] - 620.6) < sigma(estimate, "fx_px")
+    assert told >= 4
 
 
 def test_ciclop_meets_its_published_focal_length(test_data: Path) -> None:

@@ -20,19 +20,21 @@ def runs() -> tuple[Run, ...]:
 
 def test_the_truth_is_recovered_within_the_stated_two_sigma() -> None:
     recovered = [r.recovered() for r in runs()]
-    assert set(recovered[0]) == {"intrinsics", "plane/0", "axis", "ranges"}
+    each = {"intrinsics", "plane/0", "axis", "ranges"}
+    assert set(recovered[0]) == each | {f"refined {what}" for what in each}
     assert all(len(r.ranges) == 4 for r in runs())
     for what in recovered[0]:
         assert sum(found[what] for found in recovered) >= len(SEEDS) - 1, what
     # Five runs are few, but an error of four stated sigmas is none of chance.
-    assert all(abs(j.sigmas) < 4.0 for r in runs() for j in r.ranges)
-    assert all(share < 0.9999 for r in runs() for share in r.parts.values())
+    assert all(abs(j.sigmas) < 4.0 for r in runs() for j in (*r.ranges, *r.refined))
+    shares = [s for r in runs() for s in (*r.parts.values(), *r.refined_parts.values())]
+    assert max(shares) < 0.9999
 
 
 def test_the_stated_sigma_is_not_larger_than_it_need_be() -> None:
     """An estimate can be within its sigmas because they are absurd: these are useful ones."""
-    sigmas = np.array([j.sigmas for r in runs() for j in r.ranges])
-    assert 0.3 < np.sqrt(np.mean(sigmas**2)) < 1.7
+    for each in ([j for r in runs() for j in r.ranges], [j for r in runs() for j in r.refined]):
+        assert 0.3 < np.sqrt(np.mean([j.sigmas**2 for j in each])) < 1.7
     for r in runs():
         assert all(j.sigma_mm < 6e-6 * j.range_mm**2 / 4.0 + 0.5 for j in r.ranges)
 

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from turnscan.process.calibrate.difference import (
+    in_camera_space,
     parameter_differences,
     part_differences,
     shifts,
@@ -141,7 +142,21 @@ def test_what_cannot_be_compared_says_so() -> None:
         shifts(RIG, changed(camera=wide))
     with pytest.raises(CalibrationError, match="no laser in common"):
         shifts(RIG, changed(lasers=(PLANE.model_copy(update={"laser": 1}),)))
-    with pytest.raises(CalibrationError, match="no turntable axis"):
-        shifts(RIG, changed(turntable=None))
+    with pytest.raises(CalibrationError, match="no camera"):
+        shifts(RIG, changed(camera=None))
     missing = [p for p in parameter_differences(RIG, changed(turntable=None)) if p.part == "axis"]
     assert {(p.second, p.difference) for p in missing} == {(None, None)}
+
+
+def test_without_an_axis_points_move_in_camera_space() -> None:
+    moved = changed(lasers=(PLANE.model_copy(update={"distance_mm": PLANE.distance_mm + 1.0}),))
+    bare = moved.model_copy(update={"turntable": None})
+    assert in_camera_space(RIG, bare)
+    assert not in_camera_space(RIG, moved)
+    for with_axis, without in zip(shifts(RIG, moved), shifts(RIG, bare), strict=True):
+        assert without.points == with_axis.points
+        if with_axis.rms_mm is not None:
+            # The same points by the same axis: only what x, y and z are called differs.
+            assert without.rms_mm == pytest.approx(with_axis.rms_mm)
+            assert without.range_mm == pytest.approx(with_axis.range_mm)
+            assert without.z_mm != pytest.approx(with_axis.z_mm)

@@ -6,13 +6,16 @@ from functools import cache
 
 import numpy as np
 import pytest
+from posed import AXIS_DIRECTION, AXIS_POINT, turning_markers
 from range_errors import range_errors, sequential_mm, systematic_mm
 from simulated_rig import Noise, Rig
 
+from turnscan.process.calibrate.axis import fit_axis
 from turnscan.process.calibrate.camera import free_directions
-from turnscan.process.calibrate.observed import one_observation
+from turnscan.process.calibrate.observed import one_observation, turning_of
 from turnscan.process.calibrate.refine import Refined, held, refine
 from turnscan.process.calibrate.refine_data import data_of, joined
+from turnscan.process.calibrate.refine_quality import RefineLimits, refine_quality
 from turnscan.process.calibrate.refine_residuals import residuals
 from turnscan.process.calibrate.refine_solve import matrix_of
 from turnscan.process.calibrate.refine_start import first_sigmas, first_state, with_references
@@ -162,6 +165,87 @@ def test_everything_together_with_axis_and_all_references() -> None:
     assert cross > 0, "the axis follows the camera"
     again = parse_calibration(dump_json(document.plain()), where="refined.json")
     assert again.calibration_id() == document.calibration_id()
+
+
+def test_the_origin_of_a_turning_head_stays_beside_the_camera() -> None:
+    """As `calibrate axis` has it; where the origin is along the axis follows where the axis is."""
+    _, base, seen = small()
+    axis = refine(seen[:3], base).calibration().axis_or_fail()
+    p, d = np.array(axis.point_mm), np.array(axis.direction)
+    assert abs(p @ d) < 1e-9
+    # So p.d is certain, whatever point and direction do: the covariance knows it.
+    slopes = np.concatenate([d, p])
+    assert slopes @ np.array(axis.covariance) @ slopes < 1e-12 * np.trace(np.array(axis.covariance))
+
+
+def test_the_origin_of_a_turning_table_is_its_top_and_has_a_sigma_along_the_axis() -> None:
+    rig = Rig(5, FEW)
+    base, seen = rig.sequential()
+    angles = np.arange(8) * np.deg2rad(45.0)
+    sightings = turning_markers(rig.rng, angles, camera=rig.camera, sigma_px=0.1)
+    camera = base.intrinsics_or_fail()
+    found = fit_axis(sightings, [f"f{k}" for k in range(8)], angles, camera, head="fixed")
+    base = base.model_copy(update={"turntable": found.turntable_axis()})
+    fit = refine([*seen, one_observation(SIZE, turning=turning_of(found, 0.01))], base)
+    axis = fit.calibration().axis_or_fail()
+    error = np.concatenate(
+        [np.array(axis.point_mm) - AXIS_POINT, np.array(axis.direction) - AXIS_DIRECTION]
+    )
+    covariance = np.array(axis.covariance)
+    along = AXIS_DIRECTION @ covariance[:3, :3] @ AXIS_DIRECTION
+    assert 0.005 < np.sqrt(along) < 1.0
+    unit = np.sqrt(np.diag(covariance))
+    size, axes = np.linalg.eigh(covariance / np.outer(unit, unit))
+    assert (size > 1e-7).sum() == 5, "point in three, direction in two"
+    off = (axes.T @ (error / unit))[size > 1e-7] / np.sqrt(size[size > 1e-7])
+    assert off @ off < 20.5, "99.9 % of chi-square with 5 degrees of freedom"
+    # An origin that somebody put elsewhere on the axis stays so far from the table.
+    raised = base.axis_or_fail()
+    moved = tuple(float(a + 30.0 * b) for a, b in zip(raised.point_mm, raised.direction, strict=True))
+    base = base.model_copy(update={"turntable": raised.model_copy(update={"point_mm": moved})})
+    again = refine([*seen, one_observation(SIZE, turning=turning_of(found, 0.01))], base)
+    gap = np.array(again.calibration().axis_or_fail().point_mm) - np.array(axis.point_mm)
+    assert gap == pytest.approx(30.0 * np.array(axis.direction), abs=1e-3)
+
+
+def test_what_a_board_pulls_is_what_its_loss_changes() -> None:
+    _, base, seen = small()
+    two = [seen[0], seen[1]]
+    plain = base.model_copy(update={"turntable": None})
+    whole = refine(two, plain)
+    at = 3
+    name = seen[0].boards[at].name
+    assert whole.data.board_names[at] == name
+    fewer = seen[0].model_copy(update={"boards": seen[0].boards[:at] + seen[0].boards[at + 1 :]})
+    rest = refine([fewer, seen[1]], plain)
+    moved_by = rest.state.camera - whole.state.camera
+    step = whole.pulls.without[list(whole.pulls.cluster).index(at)]
+    foretold = whole.slopes[:10] @ step
+    sigma = np.sqrt(np.diag(rest.covariance))[:4]
+    assert np.abs(moved_by[:4] / sigma).max() > 0.1
+    # To first order, and sigmas found anew: within a tenth of what is known at all.
+    assert (np.abs(foretold[:4] - moved_by[:4]) < 0.1 * sigma).all()
+
+
+def test_boards_that_bend_are_named_with_the_mm_they_cost() -> None:
+    _, base, seen = small()
+    rng = np.random.default_rng(1)
+    boards = []
+    for board in (*seen[0].boards, *Rig(4, FEW).sequential()[1][0].boards):
+        px = np.array(board.points_px)
+        x = np.array(board.points_mm)[:, 0] / 120.0 - 1.0
+        px[:, 0] += 1.5 * rng.choice([-1.0, 1.0]) * (x**2 - np.mean(x**2))
+        name = f"{len(boards)} {board.name}"
+        bent = tuple((float(u), float(v)) for u, v in px)
+        boards.append(board.model_copy(update={"points_px": bent, "name": name}))
+    spoilt = seen[0].model_copy(update={"boards": tuple(boards)})
+    fit = refine([spoilt, seen[1]], base.model_copy(update={"turntable": None}))
+    assert fit.birge > 1.5
+    told = [n for n in refine_quality(fit, fit.calibration(), RefineLimits()).notes if "pull" in n]
+    assert len(told) == 1
+    assert "ranges at 1 m would move most without" in told[0]
+    assert sum(f"{b.name} " in told[0] for b in boards) >= 1
+    assert "mm" in told[0]
 
 
 def test_an_outlier_does_not_carry_the_solution_away() -> None:
