@@ -3,6 +3,11 @@
 The cache's folder is named by the content of every kernel's source: Numba itself looks at the file of
 the outermost function only, so that a change in a function that it calls would go unseen, and old
 machine code would give old numbers.
+
+Each kernel is one closed piece of machine code: what it calls of this package is copied into it, and
+only what Python calls is kept. Functions left apart would exist twice, optimised with a caller and by
+themselves, and which copy runs would depend on who compiled and who loaded: sums may be taken in any
+order, so the first scan after an installation would differ from the second in the last bits.
 """
 
 from __future__ import annotations
@@ -14,7 +19,7 @@ import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numba
 from numba.core import config as numba_config
@@ -30,14 +35,24 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _FASTMATH = {"reassoc", "contract", "nsz"}
 
 
-def inlined(function: Function) -> Function:
-    """A kernel that is written into each of its callers: for small ones that every row calls."""
-    return _compiled(function, inline="always")
-
-
 def kernel(function: Function) -> Function:
-    """``function`` compiled on its first call for given argument types; releases the GIL."""
-    return _cached(_compiled(function, inline="never"))
+    """``function``, which Python calls, compiled on its first call for given argument types and kept.
+
+    It releases the GIL. What it calls of ours must be :func:`part` or :func:`inlined`.
+    """
+    return _cached(_compiled(function))
+
+
+def part(function: Function) -> Function:
+    """A function that kernels call: compiled once for given types, then copied into each caller."""
+    return _compiled(function, forceinline=True, no_cfunc_wrapper=True)
+
+
+def inlined(function: Function) -> Function:
+    """As :func:`part`, copied as source: for what the compiler must see in its place, and for large
+    functions with one caller, which are then not compiled by themselves first.
+    """
+    return _compiled(function, inline="always")
 
 
 def exact_kernel(function: Function) -> Function:
@@ -62,8 +77,8 @@ def _cached(compiled: Any) -> Any:
     return compiled
 
 
-def _compiled(function: Function, *, inline: Literal["never", "always"]) -> Any:
-    return numba.njit(nogil=True, error_model="numpy", fastmath=_FASTMATH, inline=inline)(function)
+def _compiled(function: Function, **options: Any) -> Any:
+    return numba.njit(nogil=True, error_model="numpy", fastmath=_FASTMATH, **options)(function)
 
 
 @cache

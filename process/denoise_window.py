@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..schemas.recipe import Denoise
-from .compiled import kernel
+from .compiled import kernel, part
 from .denoise import denoise
 
 Ints = npt.NDArray[np.int64]
@@ -121,13 +121,13 @@ def _put(source: npt.NDArray[Any], first: Ints, last: Ints, target: npt.NDArray[
             there[start + np.uintp(j)] = here[start + np.uintp(j)]
 
 
-@kernel
+@part
 def _repeated(column: int, width: int) -> int:
     """The column that stands for one beyond a border: the border's own."""
     return min(max(column, 0), width - 1)
 
 
-@kernel
+@part
 def _mirrored(column: int, width: int) -> int:
     """The column that stands for one beyond a border by one: its mirror image."""
     if width > 1:
@@ -138,7 +138,7 @@ def _mirrored(column: int, width: int) -> int:
     return min(max(column, 0), width - 1)
 
 
-@kernel
+@part
 def _room(first: Ints, last: Ints, half: int) -> int:
     """Length of the longest stretch with ``half`` on either side, in whole vectors."""
     longest = 0
@@ -167,7 +167,7 @@ def _median_3(frame: npt.NDArray[Any], first: Ints, last: Ints, out: npt.NDArray
         _median_3_row(edge, 0, 1, 2, 0, length, columns, out, row, begin)
 
 
-@kernel
+@part
 def _median_3_row(
     frame: npt.NDArray[Any],
     above: int,
@@ -292,7 +292,7 @@ def _gaussian(
         _gaussian_row(edge, 0, 1, 2, 0, length, columns, up_rows, up_columns, out, row, begin)
 
 
-@kernel
+@part
 def _gaussian_row(
     frame: npt.NDArray[Any],
     above: int,

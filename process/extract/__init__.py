@@ -33,7 +33,9 @@ CHOICES: Final = ("brightest", "first", "nearest", "continuous")
 
 #: Below this ratio of amplitude to noise there is no stripe, whatever base_dn says: 30 DN are much in
 #: 8 bits and little in 16.
-_LEAST = 4.0
+LEAST: Final = 4.0
+#: The difference of two frames is louder than one by this.
+SQRT_2: Final = 2.0**0.5
 
 
 def extract_stripe(
@@ -123,32 +125,46 @@ def extract_stripe(
             hint="correct extract.windows in the recipe",
         )
     clip_dn = _clip_level(frame, saturation_dn)
-    if noise is None:
-        noise = noise_of(frame)
-    signal = frame
+    signal = frame = _locked(frame)
     if background is not None:
-        noise *= _SQRT_2
         # Signed on purpose: clipping at zero would bend the noise about the stripe.
-        signal = cv2.subtract(frame, background, dtype=_SIGNED[frame.dtype.char])
-    base_dn = max(base_dn, _LEAST * noise)
-    peaks = _peaks(signal, from_px, stop, base_dn, choice, expected_px)
-    limits = (from_px, stop, base_dn, max_width_px)
+        signal = _locked(cv2.subtract(frame, background, dtype=_SIGNED[frame.dtype.char]))
     out = np.empty(frame.shape[0], STRIPE_DTYPE)
-    name = method.replace("-", "_")
-    count = _function(name, name)(signal, frame, peaks, limits, noise, clip_dn, out)
+    limits = (from_px, stop, base_dn, max_width_px)
+    if method == "fused" and choice == "brightest":
+        # One call of compiled code, since on small frames a second one costs as much as its work.
+        count = _function("fused", "brightest")(
+            signal, frame, limits, -1.0 if noise is None else noise, clip_dn, out
+        )
+    else:
+        if noise is None:
+            noise = noise_of(frame)
+        if background is not None:
+            noise *= SQRT_2
+        base_dn = max(base_dn, LEAST * noise)
+        peaks = _peaks(signal, from_px, stop, base_dn, choice, expected_px)
+        limits = (from_px, stop, base_dn, max_width_px)
+        name = method.replace("-", "_")
+        count = _function(name, name)(signal, frame, peaks, limits, noise, clip_dn, out)
     points = out[:count]
     if pool_rows == 3:
         points = _function("pooling", "pooled")(points)
     return points
 
 
-_SQRT_2: Final = 2.0**0.5
 _SIGNED: Final = {"B": cv2.CV_16S, "H": cv2.CV_32S, "f": cv2.CV_32F, "d": cv2.CV_64F}
 
 
 def noise_of(frame: npt.NDArray[Any]) -> float:
     """Standard deviation of the noise of single pixels of a frame (H, W), in DN."""
-    return float(_function("noise", "noise_dn")(frame))
+    return float(_function("noise", "noise_dn")(_locked(frame), frame.dtype.kind != "f"))
+
+
+def _locked(frame: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """``frame``, not to be written: else the kernels would be compiled for either sort of array."""
+    view = frame.view()
+    view.flags.writeable = False
+    return view
 
 
 @cache
@@ -172,14 +188,16 @@ def _peaks(
 
 
 def _clip_level(frame: npt.NDArray[Any], asked: float | None) -> float:
-    if frame.dtype.kind == "f":
+    kind = frame.dtype.char
+    if asked is None and kind == "B":
+        return 254.0
+    if kind in "fd":
         return float("inf") if asked is None else float(asked)
-    full = 255 if frame.dtype == np.uint8 else 65535
+    full = 255 if kind == "B" else 65535
     if asked is None:
-        if frame.dtype == np.uint16:
-            # Cameras of 10, 12 and 14 bits clip far below the type's own limit.
-            brightest = int(frame.max())
-            full = next(level for level in (1023, 4095, 16383, 65535) if brightest <= level)
+        # Cameras of 10, 12 and 14 bits clip far below the type's own limit.
+        brightest = int(frame.max())
+        full = next(level for level in (1023, 4095, 16383, 65535) if brightest <= level)
         # Noise and rounding take a clipped sample one step down.
         return full - 1.0
     if not 0.0 < asked <= full:
@@ -219,6 +237,7 @@ def _checked(frame: npt.NDArray[Any], what: str) -> npt.NDArray[Any]:
     """``frame``, contiguous; or an InputError that says what is wrong with it."""
     if not isinstance(frame, np.ndarray):
         raise InputError(f"the {what} is {type(frame).__name__}, expected an array (H, W)")
+    kind = frame.dtype.char
     if frame.ndim != 2 or frame.size == 0:
         raise InputError(
             f"the {what} has shape {frame.shape}, expected (H, W)",
@@ -226,12 +245,12 @@ def _checked(frame: npt.NDArray[Any], what: str) -> npt.NDArray[Any]:
         )
     if frame.shape[0] > 65535 or frame.shape[1] > 65535:
         raise InputError(f"the {what} has shape {frame.shape}; rows and columns go up to 65535")
-    if frame.dtype.char not in _SIGNED:
+    if kind not in _SIGNED:
         raise InputError(f"the {what} is {frame.dtype}, expected uint8, uint16 or floating point")
-    if frame.dtype.kind == "f" and not np.isfinite(frame).all():
+    if kind in "fd" and not np.isfinite(frame).all():
         row, column = np.argwhere(~np.isfinite(frame))[0]
         raise InputError(
             f"the {what} holds {frame[row, column]} in row {row}, column {column}, expected numbers",
             hint="replace what is missing before extraction",
         )
-    return np.ascontiguousarray(frame)
+    return frame if frame.flags.c_contiguous else np.ascontiguousarray(frame)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..compiled import kernel
+from ..compiled import kernel, part
 from .rows import (
     CENTRE,
     CUT_FIRST,
@@ -74,7 +74,7 @@ def _argmax(count: int, samples: Floats, marks: Ints, values: Floats, noise: flo
         value[SIGMA] = math.sqrt(_PIXEL + wander * wander)
 
 
-@kernel
+@part
 def wander_px(width: float, height: float, noise: float, least: float) -> float:
     """Standard deviation of the brightest sample's place about the true summit, less the pixel's own.
 

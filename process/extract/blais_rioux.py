@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..compiled import kernel
+from ..compiled import kernel, part
 from .rows import (
     BEGIN,
     CENTRE,
@@ -105,7 +105,7 @@ def _blais_rioux(count: int, samples: Floats, marks: Ints, values: Floats, noise
         value[SIGMA] = math.hypot(spread, phase)
 
 
-@kernel
+@part
 def _slope(line: Floats, at: int, m: int) -> float:
     total = 0.0
     for k in range(1, m + 1):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..compiled import kernel
+from ..compiled import kernel, part
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -71,7 +71,7 @@ def candidates(
     return count, place, tall
 
 
-@kernel
+@part
 def _range_of(profile: npt.NDArray[Any], first: int) -> tuple[float, float]:
     """Darkest and brightest of the samples of one chunk."""
     start = np.uintp(first)
@@ -83,7 +83,7 @@ def _range_of(profile: npt.NDArray[Any], first: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-@kernel
+@part
 def _cross_median(signal: npt.NDArray[Any], row: int, from_px: int, profile: npt.NDArray[Any]) -> None:
     """Median of each pixel and its four neighbours; at a border the pixel stands in for the missing."""
     last = signal.shape[0] - 1
@@ -101,7 +101,7 @@ def _cross_median(signal: npt.NDArray[Any], row: int, from_px: int, profile: npt
         profile[end] = _median_of(here[at], up[at], down[at], left, right)
 
 
-@kernel
+@part
 def _median_of(middle: Any, up: Any, down: Any, left: Any, right: Any) -> Any:
     """Median of five: the greater of two pairs' lesser, the lesser of their greater, and the fifth."""
     a, b = up if up < down else down, down if up < down else up
@@ -112,7 +112,7 @@ def _median_of(middle: Any, up: Any, down: Any, left: Any, right: Any) -> Any:
     return middle if middle < high else high
 
 
-@kernel
+@part
 def _height(
     line: npt.NDArray[Any], profile: npt.NDArray[Any], at: int, from_px: int, base_dn: float
 ) -> float:
@@ -145,7 +145,7 @@ def _height(
     return best - beside
 
 
-@kernel
+@part
 def _keep(count: Ints, place: Ints, tall: Floats, row: int, at: int, high: float) -> None:
     """Add a candidate to its row; if the row is full, in place of the faintest."""
     n = count[row]

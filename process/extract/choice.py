@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...schemas.errors import UsageError
-from ..compiled import kernel
+from ..compiled import kernel, part
 from .candidates import MOST, candidates
 
 Floats = npt.NDArray[np.float64]
@@ -134,7 +134,7 @@ def _continuous(count: Ints, place: Ints, tall: Floats) -> Ints:
     return out
 
 
-@kernel
+@part
 def _usual(count: Ints, tall: Floats) -> float:
     """Median over the rows of the brightest candidate's height."""
     tops = np.empty(len(count), np.float64)

@@ -8,36 +8,26 @@ outliers; the fit itself takes the row's own samples, so that nothing is smoothe
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from ...schemas.tables import Flag
-from ..compiled import kernel
+from ..compiled import inlined, part
+from .descent import GATE, NARROWEST, Model, descend, is_unlike
 from .start import SIDE, background_of, goes_on, profile_of, start_of
 
 Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
 
-_SATURATED, _EDGE, _SECOND, _GATED = (
-    int(Flag.SATURATED),
-    int(Flag.EDGE),
-    int(Flag.SECOND),
-    int(Flag.GATED),
-)
-_STEPS = 12
-#: In so many steps the gate is set anew.
-_SETTLING = 3
-#: Samples farther off the model than this many standard deviations are left out.
-_GATE = 4.5
-#: In the first step, the samples' distance may be due to a centre and a width that are this far off, in
-#: px.
-_SLACK = 0.2
+_SATURATED, _EDGE, _SECOND = int(Flag.SATURATED), int(Flag.EDGE), int(Flag.SECOND)
+#: Fewer samples than this are no fit.
+_LEAST = 4
+#: Starts that differ by less than this share of the width in centre and width are the same.
+_SAME = 0.1
 #: More than this share of outliers makes a second start worth its time.
 _DOUBTFUL = 0.12
-#: A sample that is off by this share of the height is unlike a Gaussian; so many, and this is no
-#: stripe.
-_UNLIKE, _MOST_UNLIKE = 0.15, 0.35
 #: Share of the height that is there at the centre.
 _FILLED = 0.75
 #: What is seen of a stripe, over the noise of a matched filter: less is found in noise alone now and
@@ -45,14 +35,13 @@ _FILLED = 0.75
 CERTAIN = 7.0
 #: How far from the centre a second stripe is looked for, in px.
 _NEAR = 24
-#: Narrowest stripe that is one, as a standard deviation: less is a single pixel.
-_NARROWEST = 0.3
 
 _Row = tuple[bool, float, float, float, float, float, int]
-_Model = tuple[float, float, float, float, float]
+#: What is returned where nothing can be fitted.
+NO_FIT: Final = (False, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
 
 
-@kernel
+@inlined
 def fit_row(
     signal: npt.NDArray[Any],
     raw: npt.NDArray[Any],
@@ -70,143 +59,129 @@ def fit_row(
     stripe is wide.
     """
     from_px, to_px = span
-    _, max_width_px, _, plain = limits
-    reach = int(math.ceil(2.0 * max_width_px)) + SIDE
-    best = _fit_within(signal, raw, row, peak, span, reach, limits, clip_dn)
-    if best[0] and 3.5 * best[3] > reach:
+    plain = limits[3]
+    reach = int(math.ceil(2.0 * limits[1])) + SIDE
+    best = NO_FIT
+    for turn in range(2):
+        low, high = max(from_px, peak - reach), min(to_px, peak + reach + 1)
+        lines, cut = np.empty((5, high - low), np.float64), np.empty(high - low, np.bool_)
+        _gather(signal, raw, row, low, clip_dn, lines, cut)
+        best = _fit_within(lines, cut, peak - low, 0 < row < len(signal) - 1, limits)
+        if not best[0] or 3.5 * best[3] <= reach or turn == 1:
+            best = best[0], low + best[1], best[2], best[3], best[4], best[5], best[6]
+            break
         # So wide that no background was seen: once more, from afar.
-        best = _fit_within(signal, raw, row, peak, span, 2 * reach, limits, clip_dn)
+        reach *= 2
     good, centre, sigma, width, height, base, flags = best
-    if not good:
-        return best
-    if centre - 2.5 * width < from_px or centre + 2.5 * width > to_px - 1:
-        flags |= _EDGE
-    if second_near(signal[row], centre, height, base, plain, from_px, to_px):
-        flags |= _SECOND
-    return True, centre, sigma, width, height, base, flags
+    if good:
+        if centre - 2.5 * width < from_px or centre + 2.5 * width > to_px - 1:
+            flags |= _EDGE
+        if second_near(signal[row], centre, height, base, plain, from_px, to_px):
+            flags |= _SECOND
+    return good, centre, sigma, width, height, base, flags
 
 
-@kernel
-def _fit_within(
+@part
+def _gather(
     signal: npt.NDArray[Any],
     raw: npt.NDArray[Any],
     row: int,
-    peak: int,
-    span: tuple[int, int],
-    reach: int,
-    limits: tuple[float, float, float, float],
+    low: int,
     clip_dn: float,
+    lines: Floats,
+    cut: Bools,
+) -> None:
+    """The samples of the row above, the row and that below, from column ``low`` on.
+
+    ``cut`` tells where the row's own is clipped.
+    """
+    start = np.uintp(low)
+    for i in range(3):
+        line, source = lines[i], signal[min(max(row + i - 1, 0), len(signal) - 1)]
+        for j in range(len(cut)):
+            line[np.uintp(j)] = float(source[start + np.uintp(j)])
+    source = raw[row]
+    for j in range(len(cut)):
+        cut[np.uintp(j)] = float(source[start + np.uintp(j)]) >= clip_dn
+
+
+@inlined
+def _fit_within(
+    lines: Floats, cut: Bools, top: int, inner: bool, limits: tuple[float, float, float, float]
 ) -> _Row:
-    """The fit to the samples up to ``reach`` from the peak; arguments as in :func:`fit_row`."""
-    low, high = max(span[0], peak - reach), min(span[1], peak + reach + 1)
-    samples, cut = np.empty(high - low, np.float64), np.empty(high - low, np.bool_)
-    for j in range(high - low):
-        samples[j] = float(signal[row, low + j])
-        cut[j] = float(raw[row, low + j]) >= clip_dn
-    along = goes_on(signal, row, low, high, peak)
-    profile = profile_of(signal, row, low, high, along)
-    best, cost, strange = _attempt(samples, cut, profile, low, peak, limits)
-    if not best[0] or strange > _DOUBTFUL:
+    """The fit to gathered samples, in whose places the centre is counted.
+
+    ``lines`` are the row above, the row, the row below, and room for a profile and distances; the peak
+    is at ``top``; ``inner`` is not the first or last row.
+    """
+    above, here, below, profile = lines[0], lines[1], lines[2], lines[3]
+    along = inner and goes_on(above, here, below, top)
+    best, cost, begun = NO_FIT, np.inf, (0.0, 0.0)
+    for turn in range(2):
+        profile_of(above, here, below, along, profile)
+        found, its_cost, strange, begun = _attempt(lines, cut, top, begun, limits)
+        if turn == 0 or (found[0] and (not best[0] or its_cost < cost)):
+            best, cost = found, its_cost
+        if found[0] and strange <= _DOUBTFUL:
+            break
         # The rows beside it may show something else after all, or better: once more the other way.
-        profile = profile_of(signal, row, low, high, not along)
-        other, its_cost, _ = _attempt(samples, cut, profile, low, peak, limits)
-        if other[0] and (not best[0] or its_cost < cost):
-            best = other
+        along = not along
     return best
 
 
-@kernel
+@part
 def _attempt(
-    samples: Floats,
-    cut: npt.NDArray[np.bool_],
-    profile: Floats,
-    low: int,
-    peak: int,
+    lines: Floats,
+    cut: Bools,
+    place: int,
+    before: tuple[float, float],
     limits: tuple[float, float, float, float],
-) -> tuple[_Row, float, float]:
-    """The fit that ``profile`` starts; its mean square remainder, each up to a gate; share of outliers.
+) -> tuple[_Row, float, float, tuple[float, float]]:
+    """The fit that the profile starts; its mean square remainder, each up to a gate; share of outliers;
+    and the start's centre and width.
 
-    ``low`` is the column of sample 0, ``limits`` are those of :func:`fit_row`.
+    Nothing is fitted from a start that is the one ``before``. ``limits`` are those of :func:`fit_row`,
+    the rest those of :func:`_fit_within`.
     """
-    base_dn, max_width_px, noise, plain = limits
-    bad = ((False, 0.0, 0.0, 0.0, 0.0, 0.0, 0), np.inf, 1.0)
-    high = low + len(samples)
-    top = peak - low
-    for j in range(max(0, top - 2), min(len(profile), top + 3)):
+    base_dn, max_width, noise, plain = limits
+    samples, profile = lines[1], lines[3]
+    n, top = len(samples), place
+    for j in range(max(0, top - 2), min(n, top + 3)):
         if profile[j] > profile[top]:
             top = j
-    ok, centre, width, height, base = start_of(profile, cut, low, top, max_width_px)
+    ok, centre, width, height, base = start_of(profile, cut, top, max_width)
+    begun = (centre, width)
+    bad = (NO_FIT, np.inf, 1.0, begun)
     if not ok or height < 0.5 * base_dn:
         return bad
-    base, tilt = background_of(profile, centre - low, width, noise, height)
-    half = 3.5 * width + 4.0
-    first = max(low, int(math.floor(centre - half)))
-    stop = min(high, int(math.ceil(centre + half)) + 1)
-    rests = np.empty(stop - first, np.float64)
-    begin = (centre - low, width, height, base, tilt)
-    model, sigma, gate, flags = _descend(samples, cut, profile, first - low, begin, noise, rests)
-    centre, width, height, base, tilt = model
-    centre += low
-    if flags < 0 or not _NARROWEST <= width <= max_width_px or not low - 0.5 <= centre <= high - 0.5:
+    if abs(centre - before[0]) < _SAME * width and abs(width - before[1]) < _SAME * width:
         return bad
-    if abs(centre - peak) > 2.5 + 1.5 * width and not flags & _SATURATED:
+    half = 3.5 * width + 4.0
+    base, tilt = background_of(profile, centre, width, noise, height)
+    first = max(0, int(math.floor(centre - half)))
+    stop = min(n, int(math.ceil(centre + half)) + 1)
+    if stop - first < _LEAST:
+        return bad
+    rests = lines[4, : stop - first]
+    begin = (centre, width, height, base, tilt)
+    model, sigma, gate, flags = descend(samples, cut, profile, first, begin, noise, rests)
+    centre, width, height, base, tilt = model
+    if flags < 0 or not NARROWEST <= width <= max_width or not -0.5 <= centre <= n - 0.5:
+        return bad
+    if abs(centre - place) > 2.5 + 1.5 * width and not flags & _SATURATED:
         return bad
     if height < base_dn or not sigma < max(0.2 * width, 0.5):
         return bad
     if not flags & _SATURATED and not _filled(samples, model, plain):
         return bad
-    cost, outliers, seen = _judge(rests, first - low, model, noise, plain, gate)
+    cost, outliers, seen = _judge(rests, first, model, noise, plain, gate)
     if not seen:
         return bad
-    found = (True, centre, sigma, width, height, base + tilt * (centre - low), flags)
-    return found, cost, outliers
+    return (True, centre, sigma, width, height, base + tilt * centre, flags), cost, outliers, begun
 
 
-@kernel
-def _descend(
-    samples: Floats,
-    cut: npt.NDArray[np.bool_],
-    profile: Floats,
-    first: int,
-    begin: _Model,
-    noise: float,
-    rests: Floats,
-) -> tuple[_Model, float, float, int]:
-    """Gauss-Newton steps to the end: the model, the centre's deviation, the gate, and flags or -1.
-
-    A model is (centre, width, height, background, its slope), places counted from sample 0. ``rests``
-    is filled with the distances of the samples from ``first`` on.
-    """
-    centre, width, height, base, tilt = begin
-    stop = first + len(rests)
-    sigma, gate, flags = 0.0, np.inf, 0
-    # First the profile, in which hardly an outlier is left, then the samples themselves.
-    for stage in range(2):
-        for step in range(_STEPS):
-            if stage == 1 and step < _SETTLING:
-                _distances(samples, cut, first, (centre, width, height, base, tilt), rests)
-                gate = _GATE * max(noise, _scatter(rests))
-            height, moved, width, sigma, flags = _improve(
-                samples if stage == 1 else profile,
-                cut,
-                (first, stop),
-                (centre, width, height, base, tilt),
-                noise,
-                gate,
-                _SLACK if step == 0 else 0.0,
-            )
-            centre += moved
-            if flags < 0 or width < _NARROWEST or not -0.5 <= centre <= len(samples) - 0.5:
-                return begin, 0.0, gate, -1
-            if abs(moved) < 0.02 * sigma + 1e-4 and step >= stage:
-                break
-    model = (centre, width, height, base, tilt)
-    _distances(samples, cut, first, model, rests)
-    return model, sigma, gate, flags
-
-
-@kernel
-def _filled(samples: Floats, model: _Model, noise: float) -> bool:
+@part
+def _filled(samples: Floats, model: Model, noise: float) -> bool:
     """Whether the centre is bright: of two stripes taken together it lies where neither is."""
     centre, _, height, base, tilt = model
     middle, summit = round(centre), -np.inf
@@ -215,29 +190,28 @@ def _filled(samples: Floats, model: _Model, noise: float) -> bool:
     return summit >= _FILLED * height - 2.0 * noise
 
 
-@kernel
+@part
 def _judge(
-    rests: Floats, first: int, model: _Model, noise: float, plain: float, gate: float
+    rests: Floats, first: int, model: Model, noise: float, plain: float, gate: float
 ) -> tuple[float, float, bool]:
     """Mean square distance, each up to a gate; share of outliers; whether a stripe is seen at all."""
     centre, width, height, _, _ = model
-    cost, energy, n, unlike, outliers = 0.0, 0.0, 0, 0, 0
+    cost, energy, n, outliers = 0.0, 0.0, 0, 0
     for j in range(len(rests)):
         rest = rests[j]
         if rest >= 0.0:
-            cost += min(rest * rest, _GATE * _GATE * noise * noise)
+            cost += min(rest * rest, GATE * GATE * noise * noise)
             n += 1
-            unlike += rest > _UNLIKE * height + 3.0 * noise
             if rest > gate:
                 outliers += 1
             else:
                 t = (first + j - centre) / width
                 energy += (height * math.exp(-0.5 * t * t)) ** 2
-    seen = n > 0 and unlike <= _MOST_UNLIKE * n and energy >= (CERTAIN * plain) ** 2
+    seen = not is_unlike(rests, height, noise) and energy >= (CERTAIN * plain) ** 2
     return cost / max(n, 1), outliers / max(n, 1), seen
 
 
-@kernel
+@part
 def second_near(
     line: npt.NDArray[Any],
     centre: float,
@@ -266,113 +240,3 @@ def second_near(
             if lesser - valley > rise and lesser > level:
                 return True
     return False
-
-
-@kernel
-def _distances(
-    samples: Floats,
-    cut: npt.NDArray[np.bool_],
-    first: int,
-    model: tuple[float, float, float, float, float],
-    rests: Floats,
-) -> None:
-    """Fill ``rests`` with the distances from the model, from sample ``first`` on; -1 for clipped."""
-    centre, width, height, base, tilt = model
-    for i in range(len(rests)):
-        j = first + i
-        t = (j - centre) / width
-        rest = abs(samples[j] - base - tilt * j - height * math.exp(-0.5 * t * t))
-        rests[i] = -1.0 if cut[j] else rest
-
-
-@kernel
-def _scatter(rests: Floats) -> float:
-    """Robust deviation: 1.48 times the median of the distances that are not negative."""
-    ordered = np.sort(rests)
-    n, start = len(rests), 0
-    while start < n and ordered[start] < 0.0:
-        start += 1
-    if n - start < 3:
-        return np.inf
-    return 1.4826 * ordered[start + (n - start) // 2]
-
-
-@kernel
-def _improve(
-    samples: Floats,
-    cut: npt.NDArray[np.bool_],
-    span: tuple[int, int],
-    start: tuple[float, float, float, float, float],
-    noise: float,
-    gate: float,
-    slack: float,
-) -> tuple[float, float, float, float, int]:
-    """One Gauss-Newton step: (height, shift of the centre, width, deviation of the centre, flags or
-    -1).
-
-    Unknowns are height, centre and width; ``start`` is (centre, width, height, background at sample 0,
-    its slope), whose background stands. Samples farther off than ``gate``, and than ``slack`` px of
-    centre or width explain, are left out, and clipped ones.
-    """
-    first, stop = span
-    centre, width, height, base, tilt = start
-    flags = 0
-    n00 = n01 = n02 = n11 = n12 = n22 = b0 = b1 = b2 = squares = 0.0
-    used, lefts, rights = 0, 0, 0
-    inverse = 1.0 / width
-    # exp(-t^2 / 2) at equal steps by two products a sample.
-    t = (first - centre) * inverse
-    value = math.exp(-0.5 * t * t)
-    ratio = math.exp(-inverse * (t + 0.5 * inverse))
-    change = math.exp(-inverse * inverse)
-    near = max(3.0 * width, 1.5)
-    for j in range(first, stop):
-        x = j - centre
-        model = height * value
-        rest = samples[j] - base - tilt * j - model
-        t = x * inverse
-        slope0, slope1, slope2 = value, model * t * inverse, model * t * t * inverse
-        value *= ratio
-        ratio *= change
-        if cut[j]:
-            if abs(x) < near:
-                flags |= _SATURATED
-            continue
-        if abs(rest) > gate + slack * (abs(slope1) + slope2):
-            if abs(x) < near:
-                flags |= _GATED
-            continue
-        used += 1
-        if abs(t) < 3.5:
-            if x < 0.0:
-                lefts += 1
-            else:
-                rights += 1
-        squares += rest * rest
-        n00 += slope0 * slope0
-        n01 += slope0 * slope1
-        n02 += slope0 * slope2
-        n11 += slope1 * slope1
-        n12 += slope1 * slope2
-        n22 += slope2 * slope2
-        b0 += slope0 * rest
-        b1 += slope1 * rest
-        b2 += slope2 * rest
-    if used < 5 or lefts + rights < 4:
-        return 0.0, 0.0, 0.0, 0.0, -1
-    # A narrow stripe has few samples: a weak belief in the present width keeps the equations regular.
-    n22 += 1e-6 * n22 + 1e-12
-    c00, c01, c02 = n11 * n22 - n12 * n12, n02 * n12 - n01 * n22, n01 * n12 - n02 * n11
-    det = n00 * c00 + n01 * c01 + n02 * c02
-    if not det > 0.0:
-        return 0.0, 0.0, 0.0, 0.0, -1
-    c11, c12 = n00 * n22 - n02 * n02, n01 * n02 - n00 * n12
-    c22 = n00 * n11 - n01 * n01
-    d0 = (c00 * b0 + c01 * b1 + c02 * b2) / det
-    d1 = (c01 * b0 + c11 * b1 + c12 * b2) / det
-    d2 = (c02 * b0 + c12 * b1 + c22 * b2) / det
-    sigma = max(noise, math.sqrt(squares / max(used - 3, 1))) * math.sqrt(c11 / det)
-    shift = min(max(d1, -width), width)
-    wider = min(max(width + d2, 0.6 * width), 1.6 * width)
-    taller = min(max(height + d0, 0.4 * height), 2.5 * height)
-    return taller, shift, wider, sigma, flags

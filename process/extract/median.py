@@ -7,12 +7,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from ..compiled import kernel
+from ..compiled import part
 
 Floats = npt.NDArray[np.float64]
 
 
-@kernel
+@part
 def middle_of(
     line: Floats,
     begin: int,
@@ -31,7 +31,7 @@ def middle_of(
     return upper if n % 2 else 0.5 * (upper + _ranked(line, begin, n, n // 2 - 1, upper, step, whole))
 
 
-@kernel
+@part
 def _ranked(
     line: Floats,
     begin: int,
@@ -77,7 +77,7 @@ def _ranked(
     return found
 
 
-@kernel
+@part
 def _below(line: Floats, begin: int, n: int, level: float) -> int:
     """How many of n samples are not above ``level``."""
     total = 0

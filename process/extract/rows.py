@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...schemas.tables import Flag
-from ..compiled import kernel
+from ..compiled import kernel, part
 from .median import middle_of
 
 Floats = npt.NDArray[np.float64]
@@ -166,7 +166,7 @@ def fill(count: int, marks: Ints, values: Floats, out: npt.NDArray[Any]) -> int:
     return n
 
 
-@kernel
+@part
 def _climb(line: npt.NDArray[Any], at: int, from_px: int, to_px: int) -> int:
     """The brightest sample near ``at``, and near that one, until there is none brighter."""
     while True:
@@ -179,7 +179,7 @@ def _climb(line: npt.NDArray[Any], at: int, from_px: int, to_px: int) -> int:
         at = best
 
 
-@kernel
+@part
 def _top(line: Floats, begin: int, end: int, place: int, base: float) -> tuple[int, float]:
     """Brightest sample of the stripe about ``place``, of all above half its height; and its height."""
     first, last = _edges(line, begin, end, place, base + 0.5 * (line[place] - base))
@@ -189,7 +189,7 @@ def _top(line: Floats, begin: int, end: int, place: int, base: float) -> tuple[i
     return top, line[top] - base
 
 
-@kernel
+@part
 def _edges(line: Floats, begin: int, end: int, top: int, level: float) -> tuple[int, int]:
     """First and last sample of the unbroken run about ``top`` that is above ``level``."""
     first = last = top
@@ -200,7 +200,7 @@ def _edges(line: Floats, begin: int, end: int, top: int, level: float) -> tuple[
     return first, last
 
 
-@kernel
+@part
 def _width(line: Floats, begin: int, end: int, low: int, high: int, level: float) -> float:
     """Width of the run [low, high] above ``level``, between samples, as a standard deviation in px.
 
@@ -212,7 +212,7 @@ def _width(line: Floats, begin: int, end: int, low: int, high: int, level: float
     return width / FWHM
 
 
-@kernel
+@part
 def _far_base(
     line: npt.NDArray[Any],
     low: int,

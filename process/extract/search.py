@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..compiled import inlined, kernel
+from ..compiled import inlined, kernel, part
 
 Ints = npt.NDArray[np.int64]
 Counts = npt.NDArray[np.uint16]
@@ -29,12 +29,23 @@ _AGREES = 0.5
 _SECOND = 0.5
 #: Half the width about the brightest place that belongs to the same stripe, in px.
 _OWN = 16
+#: What was seen beside a stripe holds for the next row as well, if it lies within so many px; so
+#: many samples are looked at on either side, a block's and those by which it may have moved.
+_DRIFT, _BESIDE = 2, 96
 #: How often the next brightest place is tried when the brightest is a hot pixel.
 _TRIES = 6
 
 
 @kernel
 def find_peaks(
+    signal: npt.NDArray[Any], from_px: int, to_px: int, base_dn: float
+) -> tuple[Ints, npt.NDArray[np.bool_]]:
+    """As :func:`peaks_within`."""
+    return peaks_within(signal, from_px, to_px, base_dn)
+
+
+@part
+def peaks_within(
     signal: npt.NDArray[Any], from_px: int, to_px: int, base_dn: float
 ) -> tuple[Ints, npt.NDArray[np.bool_]]:
     """The brightest stripe of each row: its rough position (H,), -1 for none; and whether there is a
@@ -52,6 +63,7 @@ def find_peaks(
         # The stripe may be in each of so few blocks, so that none shows the background.
         _darkest(signal, from_px, to_px, lowest)
     before_dn, before = 0.0, -1
+    seen_row, seen_at, seen_level, seen = -1, 0, 0.0, False
     for row in range(height):
         pair = row >> 1
         above, below = max(row - 1, 0), min(row + 1, height - 1)
@@ -74,12 +86,17 @@ def find_peaks(
         near_last = (min(found + _OWN, to_px - 1) - from_px) // _BLOCK
         for b in range(near_first, near_last + 1):
             own += best[b, pair] > level
-        if bright[pair] > own or _bright_beside(signal, row, from_px, to_px, found, level):
+        # A second stripe shows in both rows of a pair: what the first of them tells, the other need not
+        # be asked.
+        if row & 1 == 0 or seen_row != row - 1 or abs(found - seen_at) > _DRIFT or level < seen_level:
+            seen = _bright_beside(signal, row, from_px, to_px, found, level)
+            seen_row, seen_at, seen_level = row, found, level
+        if bright[pair] > own or seen:
             second[row] = _elsewhere(signal, above, row, below, from_px, to_px, found, level)
     return peak, second
 
 
-@kernel
+@part
 def _score_pairs(signal: npt.NDArray[Any], from_px: int, to_px: int) -> npt.NDArray[Any]:
     """Best of the lesser of two rows, in every block of every pair of rows: (blocks, pairs)."""
     height = signal.shape[0]
@@ -108,7 +125,7 @@ def _score_pairs(signal: npt.NDArray[Any], from_px: int, to_px: int) -> npt.NDAr
     return out
 
 
-@kernel
+@part
 def _rank(
     best: npt.NDArray[Any],
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any], Counts, Counts]:
@@ -135,7 +152,7 @@ def _rank(
     return lowest, highest, brightest, bright
 
 
-@kernel
+@part
 def _darkest(signal: npt.NDArray[Any], from_px: int, to_px: int, lowest: npt.NDArray[Any]) -> None:
     """``lowest`` (pairs,): the best score of the darkest few columns, for every pair of rows."""
     height, width = signal.shape[0], to_px - from_px
@@ -167,34 +184,40 @@ def _position(
     A place beside the one of the row before serves as well when it is nearly as bright: the methods
     find the centre themselves. Of a plateau, as clipped stripes have, the middle.
     """
-    up, here, down = signal[above], signal[row], signal[below]
+    up, here, down = np.uintp(above), np.uintp(row), np.uintp(below)
     last = min(first + _BLOCK, to_px)
     close, least = floor + 0.5 * (top - floor), floor + 0.25 * (top - floor)
     if first < before < last - 1:
         score, at = -np.inf, before
         for place in range(before - 1, before + 2):
             k = np.uintp(place)
-            value = float(min(min(up[k], here[k]), down[k]))
+            value = float(min(min(signal[up, k], signal[here, k]), signal[down, k]))
             if value > score:
                 score, at = value, place
         # A narrow stripe that slopes loses most of its height to the least of three rows, not of two.
-        if score >= least and float(min(here[at], max(up[at], down[at]))) >= close:
+        if (
+            score >= least
+            and float(min(signal[here, at], max(signal[up, at], signal[down, at]))) >= close
+        ):
             return at
     score, at = -np.inf, first
     for place in range(first, last):
         k = np.uintp(place)
-        value = float(min(min(up[k], here[k]), down[k]))
+        value = float(min(min(signal[up, k], signal[here, k]), signal[down, k]))
         if value > score:
             score, at = value, place
-    if score < least or float(min(here[at], max(up[at], down[at]))) < close:
+    if score < least or float(min(signal[here, at], max(signal[up, at], signal[down, at]))) < close:
         return -1
     end = at
-    while end + 1 < to_px and float(min(min(up[end + 1], here[end + 1]), down[end + 1])) >= score:
+    while end + 1 < to_px:
+        k = np.uintp(end + 1)
+        if float(min(min(signal[up, k], signal[here, k]), signal[down, k])) < score:
+            break
         end += 1
     return (at + end) // 2
 
 
-@kernel
+@part
 def _search_row(
     signal: npt.NDArray[Any],
     above: int,
@@ -226,28 +249,28 @@ def _search_row(
     return (at + end) // 2, top
 
 
-@kernel
+@part
 def _bright_beside(
     signal: npt.NDArray[Any], row: int, from_px: int, to_px: int, peak: int, level: float
 ) -> bool:
     """Whether a sample beside the stripe, up to a block's length away, is above ``level``."""
-    here = signal[row]
-    low, high = peak - _OWN, peak + _OWN
-    if low - _BLOCK < from_px or high + _BLOCK >= to_px:
-        for j in range(max(low - _BLOCK, from_px), min(high + _BLOCK + 1, to_px)):
-            if (j < low or j > high) and here[j] > level:
+    here = np.uintp(row)
+    low, high = peak - _OWN + _DRIFT, peak + _OWN - _DRIFT
+    if low - _BESIDE < from_px or high + _BESIDE >= to_px:
+        for j in range(max(low - _BESIDE, from_px), min(high + _BESIDE + 1, to_px)):
+            if (j < low or j > high) and signal[here, j] > level:
                 return True
         return False
-    left, right = np.uintp(low - _BLOCK), np.uintp(high + 1)
-    top = here[left]
-    for i in range(_BLOCK):
-        one, other = here[left + np.uintp(i)], here[right + np.uintp(i)]
+    left, right = np.uintp(low - _BESIDE), np.uintp(high + 1)
+    top = signal[here, left]
+    for i in range(_BESIDE):
+        one, other = signal[here, left + np.uintp(i)], signal[here, right + np.uintp(i)]
         one = one if one > other else other
         top = one if one > top else top
     return float(top) > level
 
 
-@kernel
+@part
 def _elsewhere(
     signal: npt.NDArray[Any],
     above: int,
@@ -273,7 +296,7 @@ def _elsewhere(
     return high < to_px and _best_score(signal, above, row, below, high, to_px) > level
 
 
-@kernel
+@part
 def _best_score(
     signal: npt.NDArray[Any], above: int, row: int, below: int, start: int, stop: int
 ) -> float:
@@ -291,7 +314,7 @@ def _best_score(
     return float(top)
 
 
-@kernel
+@part
 def _best_pair(here: npt.NDArray[Any], start: int, stop: int) -> float:
     """Best of the lesser of two neighbours in columns [start, stop) of a row; start < stop."""
     first = np.uintp(start)
@@ -306,7 +329,7 @@ def _best_pair(here: npt.NDArray[Any], start: int, stop: int) -> float:
     return float(top)
 
 
-@kernel
+@part
 def _steep(
     signal: npt.NDArray[Any],
     row: int,
@@ -339,7 +362,7 @@ def _steep(
     return -1
 
 
-@kernel
+@part
 def _confirmed(
     signal: npt.NDArray[Any], row: int, from_px: int, to_px: int, at: int, floor: float
 ) -> bool:
@@ -369,7 +392,7 @@ def _confirmed(
     return False
 
 
-@kernel
+@part
 def _summit(here: npt.NDArray[Any], at: int, from_px: int, to_px: int, floor: float) -> bool:
     """Whether three samples about ``at`` are a Gaussian's: they then tell the two beside them."""
     if at - 2 < from_px or at + 2 >= to_px:
@@ -384,7 +407,7 @@ def _summit(here: npt.NDArray[Any], at: int, from_px: int, to_px: int, floor: fl
     return off < 0.15 * top
 
 
-@kernel
+@part
 def second_try(signal: npt.NDArray[Any], row: int, from_px: int, to_px: int) -> int:
     """The brightest place of a row that is two columns wide, so no single hot column; or -1."""
     height = signal.shape[0]

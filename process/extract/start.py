@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ..compiled import kernel
+from ..compiled import inlined, part
 
 Floats = npt.NDArray[np.float64]
 
@@ -17,74 +16,75 @@ SIDE = 9
 _FWHM = 2.0 * math.sqrt(2.0 * math.log(2.0))
 
 
-@kernel
-def goes_on(signal: npt.NDArray[Any], row: int, low: int, high: int, peak: int) -> bool:
-    """Whether the stripe goes on in the rows above and below, so that their median shows it as well."""
-    height = signal.shape[0]
-    if not 0 < row < height - 1:
-        return False
-    above, here, below = signal[row - 1], signal[row], signal[row + 1]
+@part
+def goes_on(above: Floats, here: Floats, below: Floats, top: int) -> bool:
+    """Whether the stripe at ``top`` goes on in the rows above and below: their median shows it."""
+    n = len(here)
     tallest, median_tallest = -np.inf, -np.inf
-    for j in range(max(low, peak - 2), min(high, peak + 3)):
-        a, b, c = float(above[j]), float(here[j]), float(below[j])
-        median_tallest = max(median_tallest, max(min(a, b), min(max(a, b), c)))
-        left, right = float(here[max(j - 1, low)]), float(here[min(j + 1, high - 1)])
-        tallest = max(tallest, max(min(left, b), min(max(left, b), right)))
-    floor = np.inf
-    for j in range(low, high):
-        floor = min(floor, float(here[j]))
+    for j in range(max(0, top - 2), min(n, top + 3)):
+        b = here[j]
+        median_tallest = max(median_tallest, _middle(above[j], b, below[j]))
+        tallest = max(tallest, _middle(here[max(j - 1, 0)], b, here[min(j + 1, n - 1)]))
+    floor = least_of(here)
     if median_tallest - floor <= 0.8 * (tallest - floor):
         return False
     # Rows on a line have the middle one as their median, but for an impulse or two.
     off = 0
-    for j in range(max(low, peak - 4), min(high, peak + 5)):
-        a, b, c = float(above[j]), float(here[j]), float(below[j])
-        off += abs(max(min(a, b), min(max(a, b), c)) - b) > 0.2 * (tallest - floor)
+    for j in range(max(0, top - 4), min(n, top + 5)):
+        off += abs(_middle(above[j], here[j], below[j]) - here[j]) > 0.2 * (tallest - floor)
     return off <= 2
 
 
-@kernel
-def profile_of(
-    signal: npt.NDArray[Any],
-    row: int,
-    low: int,
-    high: int,
-    along: bool,
-) -> Floats:
-    """The row's samples of columns [low, high), less single bright and dark ones.
+@inlined
+def _middle(a: float, b: float, c: float) -> float:
+    """Median of three."""
+    low, high = a if a < b else b, b if a < b else a
+    high = high if high < c else c
+    return low if low > high else high
 
-    Where the stripe goes ``along``, each the median with those above and below.
+
+@part
+def least_of(line: Floats) -> float:
+    """The darkest sample."""
+    least = line[np.uintp(0)]
+    for j in range(len(line)):
+        value = line[np.uintp(j)]
+        least = value if value < least else least
+    return least
+
+
+@part
+def profile_of(above: Floats, here: Floats, below: Floats, along: bool, out: Floats) -> None:
+    """Fill ``out`` with the row's samples, less single bright and dark ones.
+
+    Where the stripe goes ``along``, each is the median with those above and below.
     """
-    out = np.empty(high - low, np.float64)
-    here = signal[row]
-    floor = np.inf
-    for j in range(low, high):
-        floor = min(floor, float(here[j]))
-    above, below = signal[max(row - 1, 0)], signal[min(row + 1, signal.shape[0] - 1)]
-    for j in range(low, high):
-        b = float(here[j])
-        a, c = float(here[max(j - 1, low)]), float(here[min(j + 1, high - 1)])
-        # A median along the row would flatten a narrow peak: only what sticks out is cut. Bright ones
-        # are left to the median along the stripe, where there is one.
-        dark = b < floor + 0.5 * (min(a, c) - floor)
-        if dark or (not along and b > 2.0 * max(a, c) - floor):
-            b = max(min(a, b), min(max(a, b), c))
-        if along:
-            a, c = float(above[j]), float(below[j])
-            b = max(min(a, b), min(max(a, b), c))
-        out[j - low] = b
-    return out
+    last, one = len(here) - 1, np.uintp(1)
+    floor = least_of(here)
+    # A median along the row would flatten a narrow peak: only what sticks out is cut. Bright ones are
+    # left to the median along the stripe, where there is one.
+    out[0], out[last] = here[0], here[last]
+    for i in range(1, last):
+        j = np.uintp(i)
+        a, b, c = here[j - one], here[j], here[j + one]
+        low, high = a if a < c else c, c if a < c else a
+        inside = b if b > low else low
+        inside = inside if inside < high else high
+        bright = not along and b > 2.0 * high - floor
+        out[j] = inside if b < floor + 0.5 * (low - floor) or bright else b
+    if along:
+        for i in range(last + 1):
+            j = np.uintp(i)
+            out[j] = _middle(above[j], out[j], below[j])
 
 
-@kernel
+@part
 def start_of(
-    profile: Floats, cut: npt.NDArray[np.bool_], low: int, top: int, max_width_px: float
+    profile: Floats, cut: npt.NDArray[np.bool_], top: int, max_width: float
 ) -> tuple[bool, float, float, float, float]:
     """(ok, centre, width, height, background) from where the profile crosses two of its own levels."""
     n = len(profile)
-    base = np.inf
-    for j in range(n):
-        base = min(base, profile[j])
+    base = least_of(profile)
     height = profile[top] - base
     if not height > 0.0:
         return False, 0.0, 0.0, 0.0, 0.0
@@ -92,12 +92,13 @@ def start_of(
     # The darkest sample lies below the background by its noise: once more, from the sides of the
     # stripe.
     wide = max(right - left, 2.0)
-    total, m = 0.0, 0
-    for j in range(n):
-        d = abs(j - 0.5 * (left + right))
-        if 1.6 * wide <= d <= 1.6 * wide + SIDE:
-            total += profile[j]
-            m += 1
+    middle, total, m = 0.5 * (left + right), 0.0, 0
+    for j in range(max(0, math.ceil(middle - 1.6 * wide - SIDE)), int(middle - 1.6 * wide) + 1):
+        total += profile[j]
+        m += 1
+    for j in range(math.ceil(middle + 1.6 * wide), min(n, int(middle + 1.6 * wide + SIDE) + 1)):
+        total += profile[j]
+        m += 1
     if m >= 3:
         base = min(total / m, profile[top] - 0.5 * height)
         height = profile[top] - base
@@ -125,12 +126,12 @@ def start_of(
             width = math.sqrt(total / m)
         half = 0.5 * (last - first + 1)
         height *= math.exp(min(0.5 * (half / width) ** 2, 5.0))
-    if width > 1.5 * max_width_px:
+    if width > 1.5 * max_width:
         return False, 0.0, 0.0, 0.0, 0.0
-    return True, low + centre, width, height, base
+    return True, centre, width, height, base
 
 
-@kernel
+@part
 def _crossings(profile: Floats, top: int, level: float) -> tuple[float, float]:
     """Where the profile falls below ``level`` left and right of ``top``, between samples."""
     n = len(profile)
@@ -149,7 +150,7 @@ def _crossings(profile: Floats, top: int, level: float) -> tuple[float, float]:
     return left, right
 
 
-@kernel
+@part
 def background_of(
     profile: Floats, centre: float, width: float, noise: float, height: float
 ) -> tuple[float, float]:
@@ -160,12 +161,12 @@ def background_of(
     left = profile[max(0, middle - beside - SIDE + 1) : max(0, middle - beside + 1)]
     right = profile[min(n, middle + beside) : min(n, middle + beside + SIDE)]
     if len(left) < 3 and len(right) < 3:
-        return np.min(profile), 0.0
+        return least_of(profile), 0.0
     if len(left) < 3:
-        return np.median(right), 0.0
+        return _median(right), 0.0
     if len(right) < 3:
-        return np.median(left), 0.0
-    a, b = np.median(left), np.median(right)
+        return _median(left), 0.0
+    a, b = _median(left), _median(right)
     if abs(b - a) < 1.8 * noise:
         return 0.5 * (a + b), 0.0
     if abs(b - a) > 0.3 * height:
@@ -173,3 +174,17 @@ def background_of(
         return min(a, b), 0.0
     tilt = (b - a) / (2.0 * beside + SIDE - 1.0)
     return 0.5 * (a + b) - tilt * centre, tilt
+
+
+@part
+def _median(few: Floats) -> float:
+    """Median of up to ``SIDE`` samples: each by how many lie below it."""
+    n = len(few)
+    low = high = 0.0
+    for i in range(n):
+        value, below = few[i], 0
+        for j in range(n):
+            below += few[j] < value or (few[j] == value and j < i)
+        low = value if below == (n - 1) // 2 else low
+        high = value if below == n // 2 else high
+    return 0.5 * (low + high)

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...schemas.tables import Flag
-from ..compiled import kernel
+from ..compiled import kernel, part
 from .rows import (
     CENTRE,
     CUT_FIRST,
@@ -168,7 +168,7 @@ def _steger(
     _add_curvature(count, marks, values, sigma)
 
 
-@kernel
+@part
 def _rows_to_end(count: int, marks: Ints) -> Ints:
     """How many rows the stripe goes on for above and below each row, the lesser of the two (N,)."""
     out = np.zeros(count, np.int64)
@@ -181,7 +181,7 @@ def _rows_to_end(count: int, marks: Ints) -> Ints:
     return out
 
 
-@kernel
+@part
 def _add_curvature(count: int, marks: Ints, values: Floats, sigma: float) -> None:
     """Add what the smoothing flattens: sigma^2 / 2 times the stripe's second derivative along the rows.
 
@@ -203,7 +203,7 @@ def _add_curvature(count: int, marks: Ints, values: Floats, sigma: float) -> Non
         values[i, SIGMA] = math.hypot(values[i, SIGMA], 0.5 * bend * (sigma / reach) ** 2)
 
 
-@kernel
+@part
 def _along_columns(
     signal: npt.NDArray[Any],
     row: int,
@@ -237,7 +237,7 @@ def _along_columns(
                 bend[j] += c * sample
 
 
-@kernel
+@part
 def _ridge(columns: Floats, first: int, table: Floats) -> tuple[bool, float, float, float]:
     """(is a ridge, offset of its crossing with the row, -eigenvalue, |n_y / n_x|) at one pixel.
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..compiled import kernel
+from ..compiled import kernel, part
 from .rows import (
     BASE,
     BEGIN,
@@ -98,7 +98,7 @@ def _varied_boundary(
             value[SIGMA], value[WIDTH] = math.hypot(sigma, phase), width
 
 
-@kernel
+@part
 def log_parabola(
     line: Floats, first: int, last: int, level: float, base: float, origin: int, noise: float
 ) -> tuple[bool, float, float, float]:

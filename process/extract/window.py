@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..compiled import inlined, kernel
+from ..compiled import inlined, part
 
 Singles = npt.NDArray[np.float32]
 
@@ -68,15 +68,16 @@ def _tables() -> Tables:
 G, X, K, REACH, NEAREST = _tables()
 
 
-@kernel
+@inlined
 def sums_of(
-    line: npt.NDArray[Any], first: int, base: np.float32, g: Singles, x: Singles
-) -> tuple[float, float, float, float]:
+    signal: npt.NDArray[Any], row: int, first: int, base: np.float32, g: Singles, x: Singles
+) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     """Sums of g v, g v x, g v x^2 and v^2 over a window, v being the samples above ``base``."""
+    # Both indices unsigned, and no view of the row: that alone takes longer than the sums.
     s0 = s1 = s2 = s3 = np.float32(0.0)
-    start = np.uintp(first)
+    line, start = np.uintp(row), np.uintp(first)
     for j in range(SAMPLES):
-        value = np.float32(line[start + np.uintp(j)]) - base
+        value = np.float32(signal[line, start + np.uintp(j)]) - base
         at = x[j]
         weighted = g[j] * value
         moved = weighted * at
@@ -84,35 +85,35 @@ def sums_of(
         s1 += moved
         s2 += moved * at
         s3 += value * value
-    return float(s0), float(s1), float(s2), float(s3)
+    return s0, s1, s2, s3
 
 
-@kernel
-def lever_of(line: npt.NDArray[Any], first: int, base: float, x: Singles) -> float:
+@part
+def lever_of(signal: npt.NDArray[Any], row: int, first: int, base: np.float32, x: Singles) -> float:
     """Sum of v x over a window: what a slope of the background adds to the sum of squares."""
     total = 0.0
     for j in range(SAMPLES):
-        total += (float(line[first + j]) - base) * float(x[j])
+        total += (float(signal[row, first + j]) - float(base)) * float(x[j])
     return total
 
 
-@kernel
-def mean_of(line: npt.NDArray[Any], first: int) -> float:
+@inlined
+def mean_of(signal: npt.NDArray[Any], row: int, first: int) -> np.float32:
     """Mean of the ``SIDE`` samples from ``first`` on."""
-    start = np.uintp(first)
+    line, start = np.uintp(row), np.uintp(first)
     # Zero of the samples' own kind: whole numbers are added as such, which is four times as fast.
-    total = 0 * line[start]
+    total = 0 * signal[line, start]
     for j in range(SIDE):
-        total += line[start + np.uintp(j)]
-    return float(total) / SIDE
+        total += signal[line, start + np.uintp(j)]
+    return np.float32(total) * np.float32(1.0 / SIDE)
 
 
 @inlined
-def top_of(line: npt.NDArray[Any], first: int) -> float:
+def top_of(signal: npt.NDArray[Any], row: int, first: int) -> float:
     """Brightest sample of a window."""
-    start = np.uintp(first)
-    top = line[start]
+    line, start = np.uintp(row), np.uintp(first)
+    top = signal[line, start]
     for j in range(SAMPLES):
-        value = line[start + np.uintp(j)]
+        value = signal[line, start + np.uintp(j)]
         top = value if value > top else top
     return float(top)

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from turnscan.process.extract import extract_stripe
-from turnscan.process.extract.noise import noise_dn
+from turnscan.process.extract import extract_stripe, noise_of
 from turnscan.process.extract.search import find_peaks, second_try
 from turnscan.schemas.tables import Flag
 
@@ -181,8 +180,8 @@ def test_no_points_on_an_edge_of_brightness_or_a_wide_glow() -> None:
 def test_noise_is_measured_beside_the_stripe() -> None:
     for sigma in (0.5, 1.0, 3.0, 8.0):
         frame = stripe(winding(), noise=sigma, background=60.0)
-        assert noise_dn(frame) == pytest.approx(np.hypot(sigma, 12**-0.5), rel=0.15)
+        assert noise_of(frame) == pytest.approx(np.hypot(sigma, 12**-0.5), rel=0.15)
     loud = np.random.default_rng(1).normal(2000, 150, (300, 200)).astype(np.uint16)
-    assert noise_dn(loud) == pytest.approx(150, rel=0.15)
+    assert noise_of(loud) == pytest.approx(150, rel=0.15)
     fine = np.random.default_rng(1).normal(0.5, 0.01, (300, 200))
-    assert noise_dn(fine) == pytest.approx(0.01, rel=0.15)
+    assert noise_of(fine) == pytest.approx(0.01, rel=0.15)
