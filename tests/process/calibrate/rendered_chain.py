@@ -94,13 +94,14 @@ class Run:
     def recovered(self) -> dict[str, bool]:
         """Part, or ``ranges``, and whether its truth was recovered: see the module.
 
-        With ``refined`` before them those of the joint adjustment.
+        With ``refined`` before them those of the joint adjustment, if it was made.
         """
         out = {}
         ways = (("", self.ranges, self.parts), ("refined ", self.refined, self.refined_parts))
         for way, ranges, parts in ways:
             out |= {way + role: share < TWO_SIGMA for role, share in parts.items()}
-            out[way + "ranges"] = float(np.mean([r.sigmas**2 for r in ranges])) < 4.0
+            if ranges:
+                out[way + "ranges"] = float(np.mean([r.sigmas**2 for r in ranges])) < 4.0
         return out
 
 
@@ -245,19 +246,19 @@ class RenderedRig:
         )
 
 
-def run(seed: int) -> Run:
-    """The whole chain for one seed."""
+def run(seed: int, *, refined: bool = True) -> Run:
+    """The whole chain for one seed; without ``refined`` nothing is judged of the joint adjustment."""
     rig = RenderedRig(seed)
     document, seen = calibrated(rig)
     stripes = scanned(rig)
-    refined = refine(seen, document).calibration()
+    joint = refine(seen, document).calibration() if refined else None
     return Run(
         seed=seed,
         ranges=tuple(judged(document, stripes)),
         apart=tuple(judged(document.model_copy(update={"joint": None}), stripes)),
         parts=nearer(document, rig.true),
-        refined=tuple(judged(refined, stripes)),
-        refined_parts=nearer(refined, rig.true),
+        refined=tuple(judged(joint, stripes)) if joint else (),
+        refined_parts=nearer(joint, rig.true) if joint else {},
     )
 
 

@@ -11,11 +11,13 @@ import numpy as np
 from rendered_chain import Run, run
 
 SEEDS = range(5)
+#: Of so many of them everything is adjusted together as well, which takes three times as long.
+REFINED = 2
 
 
 @cache
 def runs() -> tuple[Run, ...]:
-    return tuple(run(seed) for seed in SEEDS)
+    return tuple(run(seed, refined=seed < REFINED) for seed in SEEDS)
 
 
 def test_the_truth_is_recovered_within_the_stated_two_sigma() -> None:
@@ -24,7 +26,7 @@ def test_the_truth_is_recovered_within_the_stated_two_sigma() -> None:
     assert set(recovered[0]) == each | {f"refined {what}" for what in each}
     assert all(len(r.ranges) == 4 for r in runs())
     for what in recovered[0]:
-        assert sum(found[what] for found in recovered) >= len(SEEDS) - 1, what
+        assert sum(not found.get(what, True) for found in recovered) <= 1, what
     # Five runs are few, but an error of four stated sigmas is none of chance.
     assert all(abs(j.sigmas) < 4.0 for r in runs() for j in (*r.ranges, *r.refined))
     shares = [s for r in runs() for s in (*r.parts.values(), *r.refined_parts.values())]
