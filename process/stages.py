@@ -58,7 +58,7 @@ class FrameChain:
             off, _ = self._prepare(background)
         step = self._extract
         windows = _windows(step, lasers_on)
-        if self._denoise.where == "stripe":
+        if self._denoise.where == "stripe" and noise is not None:
             spans = [(from_px, to_px) for _, from_px, to_px in windows]
             grey, off = denoise_at_stripe(grey, off, self._denoise, step, spans, noise)
         out = []
@@ -81,8 +81,11 @@ class FrameChain:
             out.append((laser, points))
         return out
 
-    def _prepare(self, image: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], float]:
-        """The frame as extract takes it, and the noise of its pixels before it was filtered."""
+    def _prepare(self, image: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], float | None]:
+        """The frame as extract takes it, and the noise of its pixels before it was filtered.
+
+        None for a frame that is not filtered: extract finds it itself, in one call with all else.
+        """
         if self._undistort is not None:
             assert self._camera is not None
             check_size(self._camera, image.shape[1], image.shape[0])
@@ -94,6 +97,8 @@ class FrameChain:
                 "colour frames, and the recipe has no grey stage",
                 hint='add [[stages]] stage = "grey" to the recipe',
             )
+        if self._denoise.method == "none":
+            return image, None
         noise = noise_of(image)
         # What is filtered only where the stripe is waits for extract(): both frames show where.
         return image if self._denoise.where == "stripe" else denoise(image, self._denoise), noise
