@@ -37,6 +37,7 @@ from .moments import (
 from .noise import noise_within
 from .search import peaks_within, second_try
 from .wide import wide_row
+from .width_check import width_is_odd
 from .window import LEFT, SAMPLES, top_of
 
 Floats = npt.NDArray[np.float64]
@@ -45,6 +46,8 @@ Ints = npt.NDArray[np.int64]
 _SATURATED, _WEAK, _SECOND = int(Flag.SATURATED), int(Flag.WEAK), int(Flag.SECOND)
 #: Remainders beyond this many standard deviations of chi-square are looked at closely.
 _ODD = 5.0
+#: A fit whose deviation is so many times what the noise explains leaves much unexplained.
+_POOR = 3.0
 #: Narrower than this, in px, a hot pixel passes for a stripe.
 _HOT = 0.55
 #: Below this ratio of height to noise the centre is called weak.
@@ -226,6 +229,9 @@ def _points(
                 clip_dn,
             )
             if not good:
+                continue
+            poor = sigma > _POOR * _BOUND * loud_done * math.sqrt(width) / amplitude
+            if poor and width_is_odd(found, state, row, width, odd_done):
                 continue
             flags |= more
         if amplitude <= base_dn or amplitude * amplitude * _MATCHED * width < certain:

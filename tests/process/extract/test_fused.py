@@ -359,3 +359,21 @@ def test_what_is_shifted_scaled_mirrored_or_turned_stays_the_same(
     # The search may start a pixel off, and the window stand elsewhere: far below the noise of 0.017 px.
     assert np.abs(second["u_px"] - expected).max() < 0.003
     assert np.allclose(second["amplitude_dn"], gain * first["amplitude_dn"], rtol=0.03)
+
+
+def test_a_row_whose_stripe_was_hit_too_often_gives_no_point() -> None:
+    """Three of the five brightest samples are gone: what is left fits a narrow stripe 0.9 px off."""
+    rows, x = 40, np.arange(64)
+    noise = np.random.default_rng(3).normal(0.0, 2.0, (rows, 64))
+    frame = np.clip(np.rint(18 + 180 * np.exp(-((x - 30.7) ** 2) / 8.0) + noise), 0, 255)
+    frame = frame.astype(np.uint8)
+    frame[20, [29, 30, 34]] = 0
+    found = extract_stripe(frame)
+    assert set(range(rows)) - set(found["row"].tolist()) <= {20}
+    assert np.abs(found["u_px"] - 30.7).max() < 0.15
+    # One sample that is hit is left out, and the point stays.
+    frame = frame.copy()
+    frame[20, 29:31] = frame[19, 29:31]
+    found = extract_stripe(frame)
+    assert found["row"].tolist() == list(range(rows))
+    assert np.abs(found["u_px"] - 30.7).max() < 0.15
