@@ -9,8 +9,7 @@ Its laser-off frame is the one at the same angle, before or after it, else the l
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..schemas.errors import InputError
 from ..schemas.events import TurntableAngle
@@ -22,8 +21,7 @@ if TYPE_CHECKING:
     Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 
-@dataclass(frozen=True)
-class LitFrame:
+class LitFrame(NamedTuple):
     """One frame with at least one laser on, its angle and, where asked for, its laser-off frame."""
 
     frame: int
@@ -34,8 +32,7 @@ class LitFrame:
     background: Image | None
 
 
-@dataclass(frozen=True)
-class Placed:
+class Placed(NamedTuple):
     """A frame and the angle that it was taken at; None before the first angle of the log."""
 
     item: Any

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from ..schemas.errors import CalibrationError, InputError
 from ..schemas.recipe import Denoise, Extract, Grey, Recipe, Triangulate, Undistort
 from .camera import ideal_camera, numbers_of
 from .denoise import denoise, denoise_at_stripe
-from .extract import extract_stripe, noise_of
+from .extract import STRIPE_DTYPE, Extractor, noise_of
 from .grey import to_grey
 from .scene import Geometry, scene_columns
 from .triangulate import axis_numbers, plane_numbers
@@ -28,6 +29,7 @@ class FrameChain:
 
     def __init__(self, recipe: Recipe, calibration: Calibration | None) -> None:
         self._extract = recipe.extract()
+        self._extractors: dict[tuple[int, ...], list[_Of]] = {}
         self._grey: Grey | None = None
         self._denoise = Denoise(method="none")
         self._undistort: FrameUndistorter | None = None
@@ -49,37 +51,23 @@ class FrameChain:
         lasers_on: tuple[int, ...],
         background: npt.NDArray[Any] | None = None,
     ) -> list[tuple[int, npt.NDArray[Any]]]:
-        """(laser, stripe points) of every laser lit in one frame; see :func:`extract_stripe`."""
+        """(laser, stripe points) of every laser lit in one frame; see :func:`extract_stripe`.
+
+        The points lie in memory that the next frame's are written to.
+        """
         grey, noise = self._prepare(image)
         off = None
         if self._extract.background == "off-frame":
             if background is None:
                 raise InputError("extract.background = off-frame, but no laser-off frame was given")
             off, _ = self._prepare(background)
-        step = self._extract
-        windows = _windows(step, lasers_on)
+        lit = self._extractors.get(lasers_on)
+        if lit is None:
+            lit = self._extractors[lasers_on] = _extractors(self._extract, lasers_on)
         if self._denoise.where == "stripe" and noise is not None:
-            spans = [(from_px, to_px) for _, from_px, to_px in windows]
-            grey, off = denoise_at_stripe(grey, off, self._denoise, step, spans, noise)
-        out = []
-        for laser, from_px, to_px in windows:
-            points = extract_stripe(
-                grey,
-                step.method,
-                orientation=step.orientation,
-                background=off,
-                base_dn=step.base_dn,
-                max_width_px=step.max_width_px,
-                saturation_dn=step.saturation_dn,
-                from_px=from_px,
-                to_px=to_px,
-                noise=noise,
-                choice=step.choice or "brightest",
-                expected_px=step.expected_px,
-                pool_rows=step.pool_rows or 1,
-            )
-            out.append((laser, points))
-        return out
+            spans = [(of.from_px, of.to_px) for of in lit]
+            grey, off = denoise_at_stripe(grey, off, self._denoise, self._extract, spans, noise)
+        return [(of.laser, of.extractor(grey, off, noise, of.room(grey))) for of in lit]
 
     def _prepare(self, image: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], float | None]:
         """The frame as extract takes it, and the noise of its pixels before it was filtered.
@@ -104,8 +92,25 @@ class FrameChain:
         return image if self._denoise.where == "stripe" else denoise(image, self._denoise), noise
 
 
-def _windows(step: Extract, lasers_on: tuple[int, ...]) -> list[tuple[int, int, int | None]]:
-    """(laser, from_px, to_px) for every lit laser."""
+@dataclass
+class _Of:
+    """How the stripe of one laser is extracted, and memory for its points."""
+
+    laser: int
+    from_px: int
+    to_px: int | None
+    extractor: Extractor
+    _points: npt.NDArray[Any] = field(default_factory=lambda: np.empty(0, STRIPE_DTYPE))
+
+    def room(self, frame: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """A point for each row or column of ``frame``: memory that is used again is at hand."""
+        if len(self._points) < max(frame.shape):
+            self._points = np.empty(max(frame.shape), STRIPE_DTYPE)
+        return self._points
+
+
+def _extractors(step: Extract, lasers_on: tuple[int, ...]) -> list[_Of]:
+    """Those of every lit laser."""
     windows = {w.laser: (w.from_px, w.to_px) for w in step.windows}
     if len(lasers_on) > 1:
         missing = [n for n in lasers_on if n not in windows]
@@ -114,7 +119,23 @@ def _windows(step: Extract, lasers_on: tuple[int, ...]) -> list[tuple[int, int, 
                 f"lasers {list(lasers_on)} are lit in one frame, and nothing tells their stripes apart",
                 hint=f"give extract.windows for lasers {missing} in the recipe, or light them singly",
             )
-    return [(n, *windows.get(n, (0, None))) for n in lasers_on]
+    made = []
+    for laser in lasers_on:
+        from_px, to_px = windows.get(laser, (0, None))
+        extractor = Extractor(
+            step.method,
+            orientation=step.orientation,
+            base_dn=step.base_dn,
+            max_width_px=step.max_width_px,
+            saturation_dn=step.saturation_dn,
+            from_px=from_px,
+            to_px=to_px,
+            choice=step.choice or "brightest",
+            expected_px=step.expected_px,
+            pool_rows=step.pool_rows or 1,
+        )
+        made.append(_Of(laser, from_px, to_px, extractor))
+    return made
 
 
 def check_size(camera: Intrinsics, width_px: int, height_px: int) -> None:

@@ -1,4 +1,8 @@
-"""Stripe points of many frames, filled into columns of STRIPES in the table's own types."""
+"""Stripe points of many frames, turned into columns of STRIPES in the table's own types.
+
+Of each frame only its points are copied while it is at hand; the columns are made of all of them
+together, since going to eleven columns anew takes longer than filling them.
+"""
 
 from __future__ import annotations
 
@@ -10,59 +14,74 @@ import numpy.typing as npt
 from ..schemas.tables import STRIPES
 from .batches import BATCH_ROWS
 from .compiled import kernel
+from .extract import STRIPE_DTYPE
 
 Points = npt.NDArray[Any]
 Columns = dict[str, npt.NDArray[Any]]
 
+#: A point as plain bytes: copied as such, not field by field.
+_BYTES = np.dtype((np.void, STRIPE_DTYPE.itemsize))
+#: What all points of a frame share.
+_OF_FRAME = ("frame", "t_ns", "angle_rad")
+
 
 class StripeColumns:
-    """Room for :data:`BATCH_ROWS` stripe points, made anew whenever it is full."""
+    """Room for :data:`BATCH_ROWS` stripe points, emptied into columns whenever it is full."""
 
     def __init__(self) -> None:
+        self._points = np.empty(BATCH_ROWS, STRIPE_DTYPE)
+        self._bytes = self._points.view(_BYTES)
         self._rows = 0
-        self._columns: Columns = {}
+        #: Of every frame: how many of its points are held, frame, t_ns, angle_rad; and the lasers.
+        self._frames: list[tuple[int, int, int, float]] = []
+        self._lasers: list[int | npt.NDArray[Any]] = []
 
     def add(
         self, points: Points, *, frame: int, t_ns: int, angle_rad: float, laser: int | npt.NDArray[Any]
     ) -> list[Columns]:
         """Add the points of a frame, in the order of rows; returns the columns that became full."""
         full = []
-        done = 0
-        while done < len(points):
-            if not self._columns:
-                self._columns = {c.name: np.empty(BATCH_ROWS, c.type) for c in STRIPES.columns}
-            c, at = self._columns, self._rows
-            some = points[done : done + BATCH_ROWS - at]
-            stop = at + len(some)
-            one = laser if isinstance(laser, int) else 0
-            _fill(some, at, frame, t_ns, one, angle_rad, *c.values())
-            if not isinstance(laser, int):
-                c["laser"][at:stop] = laser[done : done + len(some)]
-            done += len(some)
-            self._rows = stop
-            if stop == BATCH_ROWS:
+        done, count = 0, len(points)
+        while done < count:
+            some = min(count - done, len(self._bytes) - self._rows)
+            self._bytes[self._rows : self._rows + some] = points[done : done + some].view(_BYTES)
+            self._rows += some
+            self._frames.append((some, frame, t_ns, angle_rad))
+            self._lasers.append(laser if isinstance(laser, int) else laser[done : done + some])
+            done += some
+            if self._rows == len(self._bytes):
                 full += self.rest()
         return full
 
     def rest(self) -> list[Columns]:
         """What is held, if anything is; it begins anew."""
-        columns, rows = self._columns, self._rows
-        self._columns, self._rows = {}, 0
-        return [{name: column[:rows] for name, column in columns.items()}] if rows else []
+        if not self._rows:
+            return []
+        counts, *shared = zip(*self._frames, strict=True)
+        lasers = [
+            np.full(n, laser, np.uint8) if isinstance(laser, int) else laser
+            for n, laser in zip(counts, self._lasers, strict=True)
+        ]
+        of_frame = dict(zip(_OF_FRAME, shared, strict=True))
+        held = self._points[: self._rows]
+        made: Columns = {}
+        for column in STRIPES.columns:
+            if column.name == "laser":
+                made["laser"] = np.concatenate(lasers, dtype=np.uint8, casting="same_kind")
+            elif column.name in of_frame:
+                made[column.name] = np.repeat(np.array(of_frame[column.name], column.type), counts)
+            else:
+                made[column.name] = np.empty(len(held), column.type)
+        _split(held, *(made[name] for name in STRIPE_DTYPE.names or ()))
+        self._rows = 0
+        self._frames.clear()
+        self._lasers.clear()
+        return [made]
 
 
 @kernel
-def _fill(
+def _split(
     points: Points,
-    at: int,
-    of_frame: int,
-    of_time: int,
-    of_laser: int,
-    of_angle: float,
-    frame: npt.NDArray[Any],
-    t_ns: npt.NDArray[Any],
-    laser: npt.NDArray[Any],
-    angle_rad: npt.NDArray[Any],
     row: npt.NDArray[Any],
     u_px: npt.NDArray[Any],
     sigma_u_px: npt.NDArray[Any],
@@ -71,18 +90,13 @@ def _fill(
     background_dn: npt.NDArray[Any],
     flags: npt.NDArray[Any],
 ) -> None:
-    """The points of one frame into the columns of STRIPES, from ``at`` on."""
-    stop = at + len(points)
-    frame[at:stop] = of_frame
-    t_ns[at:stop] = of_time
-    laser[at:stop] = of_laser
-    angle_rad[at:stop] = of_angle
+    """Points into columns."""
     for i in range(len(points)):
         point = points[i]
-        row[at + i] = point.row
-        u_px[at + i] = point.u_px
-        sigma_u_px[at + i] = point.sigma_u_px
-        amplitude_dn[at + i] = point.amplitude_dn
-        width_px[at + i] = point.width_px
-        background_dn[at + i] = point.background_dn
-        flags[at + i] = point.flags
+        row[i] = point.row
+        u_px[i] = point.u_px
+        sigma_u_px[i] = point.sigma_u_px
+        amplitude_dn[i] = point.amplitude_dn
+        width_px[i] = point.width_px
+        background_dn[i] = point.background_dn
+        flags[i] = point.flags

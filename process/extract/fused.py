@@ -17,9 +17,9 @@ import numpy.typing as npt
 
 from ...schemas.tables import Flag
 from ..compiled import inlined, kernel, part
-from . import LEAST, SQRT_2
 from .clipped import BAD, clipped_row
 from .deviation import FREE, NARROW, add_phase_error, noise_at_stripe
+from .extractor import LEAST, SQRT_2
 from .fit import CERTAIN, NO_FIT, fit_row, second_near
 from .moments import (
     BASE,

@@ -14,19 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ..compiled import inlined, kernel, part
+from .blocks import BLOCK, SECOND, ranked_blocks
 
 Ints = npt.NDArray[np.int64]
-Counts = npt.NDArray[np.uint16]
 
-#: Columns of one block of the search: the best score of each block is kept.
-_BLOCK = 64
-#: Up to this many blocks, the background is looked for in parts of this many columns instead.
-_FEW, _PART = 4, 8
 #: A vertical score is believed at once when it is at least this share of what the row above showed;
 #: else, or where it is below the threshold, the row is searched for a steep stripe or an end as well.
 _AGREES = 0.5
-#: A second stripe is reported when it is at least this bright, relative to the first.
-_SECOND = 0.5
 #: Half the width about the brightest place that belongs to the same stripe, in px.
 _OWN = 16
 #: What was seen beside a stripe holds for the next row as well, if it lies within so many px; so
@@ -57,11 +51,7 @@ def peaks_within(
     height = signal.shape[0]
     peak = np.full(height, -1, np.int64)
     second = np.zeros(height, np.bool_)
-    best = _score_pairs(signal, from_px, to_px)
-    lowest, highest, brightest, bright = _rank(best)
-    if len(best) <= _FEW:
-        # The stripe may be in each of so few blocks, so that none shows the background.
-        _darkest(signal, from_px, to_px, lowest)
+    best, lowest, highest, brightest, bright = ranked_blocks(signal, from_px, to_px)
     before_dn, before = 0.0, -1
     seen_row, seen_at, seen_level, seen = -1, 0, 0.0, False
     for row in range(height):
@@ -71,7 +61,7 @@ def peaks_within(
         floor, top = float(lowest[pair]), float(highest[pair])
         found = -1
         if top - floor >= max(base_dn, _AGREES * before_dn) and height > 1:
-            first = from_px + int(brightest[pair]) * _BLOCK
+            first = from_px + int(brightest[pair]) * BLOCK
             found = _position(signal, above, row, below, first, to_px, top, floor, before)
         if found < 0:
             found, top = _search_row(signal, above, row, below, from_px, to_px, floor, 0.5 * base_dn)
@@ -80,10 +70,10 @@ def peaks_within(
             continue
         peak[row] = before = found
         before_dn = max(float(signal[row, found]), top) - floor
-        level = floor + _SECOND * (top - floor)
+        level = floor + SECOND * (top - floor)
         own = 0
-        near_first = (max(found - _OWN, from_px) - from_px) // _BLOCK
-        near_last = (min(found + _OWN, to_px - 1) - from_px) // _BLOCK
+        near_first = (max(found - _OWN, from_px) - from_px) // BLOCK
+        near_last = (min(found + _OWN, to_px - 1) - from_px) // BLOCK
         for b in range(near_first, near_last + 1):
             own += best[b, pair] > level
         # A second stripe shows in both rows of a pair: what the first of them tells, the other need not
@@ -94,77 +84,6 @@ def peaks_within(
         if bright[pair] > own or seen:
             second[row] = _elsewhere(signal, above, row, below, from_px, to_px, found, level)
     return peak, second
-
-
-@part
-def _score_pairs(signal: npt.NDArray[Any], from_px: int, to_px: int) -> npt.NDArray[Any]:
-    """Best of the lesser of two rows, in every block of every pair of rows: (blocks, pairs)."""
-    height = signal.shape[0]
-    blocks = (to_px - from_px + _BLOCK - 1) // _BLOCK
-    out = np.empty((blocks, (height + 1) // 2), signal.dtype)
-    for pair in range(out.shape[1]):
-        # An odd last row goes with the one above it.
-        row = min(2 * pair, max(height - 2, 0))
-        here, under = signal[row], signal[min(row + 1, height - 1)]
-        for b in range(blocks):
-            # Unsigned indices and plain comparisons: a signed index could count from the end, and then
-            # nothing is vectorised. A last block that is short overlaps the one before.
-            first = np.uintp(max(min(from_px + b * _BLOCK, to_px - _BLOCK), from_px))
-            top = here[first]
-            top = top if top < under[first] else under[first]
-            if to_px - from_px >= _BLOCK:
-                for j in range(_BLOCK):
-                    one, other = here[first + np.uintp(j)], under[first + np.uintp(j)]
-                    least = one if one < other else other
-                    top = least if least > top else top
-            else:
-                for j in range(to_px - from_px):
-                    least = min(here[first + np.uintp(j)], under[first + np.uintp(j)])
-                    top = least if least > top else top
-            out[b, pair] = top
-    return out
-
-
-@part
-def _rank(
-    best: npt.NDArray[Any],
-) -> tuple[npt.NDArray[Any], npt.NDArray[Any], Counts, Counts]:
-    """Of every pair of rows: least and best score of a block, which is best, how many are bright."""
-    blocks, pairs = best.shape
-    lowest, highest = best[0].copy(), best[0].copy()
-    for b in range(1, blocks):
-        line = best[b]
-        for i in range(pairs):
-            value = line[i]
-            lowest[i] = value if value < lowest[i] else lowest[i]
-            highest[i] = value if value > highest[i] else highest[i]
-    brightest, bright = np.zeros(pairs, np.uint16), np.zeros(pairs, np.uint16)
-    level = np.empty(pairs, best.dtype)
-    for i in range(pairs):
-        low, high = float(lowest[i]), float(highest[i])
-        level[i] = low + _SECOND * (high - low)
-    for b in range(blocks - 1, -1, -1):
-        line = best[b]
-        number = np.uint16(b)
-        for i in range(pairs):
-            brightest[i] = number if line[i] == highest[i] else brightest[i]
-            bright[i] += np.uint16(1) if line[i] > level[i] else np.uint16(0)
-    return lowest, highest, brightest, bright
-
-
-@part
-def _darkest(signal: npt.NDArray[Any], from_px: int, to_px: int, lowest: npt.NDArray[Any]) -> None:
-    """``lowest`` (pairs,): the best score of the darkest few columns, for every pair of rows."""
-    height, width = signal.shape[0], to_px - from_px
-    part = max(1, min(_PART, width // 4))
-    for pair in range(len(lowest)):
-        row = min(2 * pair, max(height - 2, 0))
-        here, under = signal[row], signal[min(row + 1, height - 1)]
-        for first in range(from_px, to_px - part + 1, part):
-            top = min(here[first], under[first])
-            for j in range(first + 1, first + part):
-                top = max(top, min(here[j], under[j]))
-            lowest[pair] = min(lowest[pair], top)
 
 
 @inlined
@@ -185,7 +104,7 @@ def _position(
     find the centre themselves. Of a plateau, as clipped stripes have, the middle.
     """
     up, here, down = np.uintp(above), np.uintp(row), np.uintp(below)
-    last = min(first + _BLOCK, to_px)
+    last = min(first + BLOCK, to_px)
     close, least = floor + 0.5 * (top - floor), floor + 0.25 * (top - floor)
     if first < before < last - 1:
         score, at = -np.inf, before
