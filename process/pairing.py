@@ -9,27 +9,24 @@ Its laser-off frame is the one at the same angle, before or after it, else the l
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from ..schemas.errors import InputError
 from ..schemas.events import TurntableAngle
 
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
-    Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
-
 
 class LitFrame(NamedTuple):
-    """One frame with at least one laser on, its angle and, where asked for, its laser-off frame."""
+    """One frame with at least one laser on, its angle and, where asked for, its laser-off frame.
+
+    ``image`` and ``background`` are what the items' ``decode()`` gives.
+    """
 
     frame: int
     t_ns: int
     angle_rad: float
     lasers_on: tuple[int, ...]
-    image: Image
-    background: Image | None
+    image: Any
+    background: Any
 
 
 class Placed(NamedTuple):
@@ -77,9 +74,9 @@ def pair_frames(
     InputError
         A frame comes before any angle; or laser-off frames are asked for and there is none.
     """
-    off: Image | None = None
+    off: Any = None
     off_angle: float | None = None
-    waiting: list[tuple[Placed, Image]] = []
+    waiting: list[tuple[Placed, Any]] = []
 
     def release() -> Iterator[LitFrame]:
         for placed, image in waiting:
@@ -127,7 +124,7 @@ def _between(before: TurntableAngle, after: TurntableAngle, t_ns: int) -> float:
     return first + (second - first) * ((t_ns - before.t_ns) / (after.t_ns - before.t_ns))
 
 
-def _lit(placed: Placed, image: Image, background: Image | None) -> LitFrame:
+def _lit(placed: Placed, image: Any, background: Any) -> LitFrame:
     assert placed.angle_rad is not None
     return LitFrame(
         frame=placed.item.frame,

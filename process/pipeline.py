@@ -29,8 +29,9 @@ from ..store.log_digest import LogFacts
 from ..store.log_follow import GrowingLog
 from ..store.plan import Plan, stage_records
 from .batches import columns_of, record_batches
+from .finding import FrameSource, StripeFinder
 from .stages import PointChain, check_size
-from .striping import FrameSource, Tally, stripe_parts
+from .striping import Tally, stripe_parts
 from .workers import in_processes
 
 if TYPE_CHECKING:
@@ -76,6 +77,9 @@ class Outcome:
 
 #: Small scans go into the catalogue together, so that it is not written more often than this.
 _ENTER_EVERY_S: Final = 0.25
+#: Threads that decompress and extract beside the one that gathers: with more, their Python waits for
+#: each other.
+_THREADS: Final = 1
 
 
 def derive(
@@ -231,14 +235,10 @@ def _derive_from_log(
         if step is not None:
             step(now.frames)
 
-    parts = stripe_parts(
-        archive.log(plan.scan.scan).items(ahead=overlap),
-        plan.recipe,
-        plan.calibration,
-        _source_of(plan.scan),
-        tally,
-        advance,
-    )
+    finder = StripeFinder(plan.recipe, plan.calibration, _source_of(plan.scan))
+    log = archive.log(plan.scan.scan)
+    items = log.items(ahead=_THREADS, each=finder) if overlap else log.items()
+    parts = stripe_parts(items, finder, tally, advance)
     with (
         archive.draft("stripes", behind=overlap) as stripes,
         archive.draft("points", behind=overlap) as draft,
@@ -316,7 +316,8 @@ def derive_growing(
     tally = Tally()
     began = time.monotonic()
     source = FrameSource(start.scan, start.camera)
-    parts = stripe_parts(growing.items(), start.recipe, start.calibration, source, tally, advance)
+    finder = StripeFinder(start.recipe, start.calibration, source)
+    parts = stripe_parts(growing.items(), finder, tally, advance)
     with archive.draft("stripes", behind=False) as draft:
         for batch in record_batches(STRIPES, parts):
             draft.take(batch)

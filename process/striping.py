@@ -13,12 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..schemas.calibration import Calibration
-from ..schemas.errors import CalibrationError, InputError
 from ..schemas.events import LogEvent, TurntableAngle
-from ..schemas.recipe import Recipe
-from .pairing import LitFrame, pair_frames
-from .stages import FrameChain
+from .finding import Found, StripeFinder
+from .pairing import pair_frames
 from .stripe_columns import StripeColumns
 
 Points = npt.NDArray[Any]
@@ -56,61 +53,32 @@ class Tally:
         }
 
 
-@dataclass
-class FrameSource:
-    """Whose frames are taken: the scan, its one camera, and the size of every frame."""
-
-    scan: str
-    camera: str
-    size: tuple[int, int] | None = None
-
-    def check(self, lit: LitFrame) -> None:
-        """A frame of another size than the scan's would be triangulated wrongly without a word."""
-        height, width = lit.image.shape[:2]
-        if self.size is None:
-            self.size = (width, height)
-        if (width, height) != self.size:
-            raise InputError(
-                f"scan {self.scan}, frame {lit.frame}: is {width} x {height}, the scan's first frame "
-                f"is {self.size[0]} x {self.size[1]}",
-                hint="a scan holds frames of one size: record or import the others as a scan of "
-                "their own",
-            )
-
-
 def stripe_parts(
-    items: Iterable[Any],
-    recipe: Recipe,
-    calibration: Calibration | None,
-    source: FrameSource,
-    tally: Tally,
-    advance: Callable[[Tally], None],
+    items: Iterable[Any], finder: StripeFinder, tally: Tally, advance: Callable[[Tally], None]
 ) -> Iterator[dict[str, Any]]:
-    """STRIPES columns of many frames at a time: the same from a sealed log and from one that grows."""
-    chain = FrameChain(recipe, calibration)
+    """STRIPES columns of many frames at a time: the same from a sealed log and from one that grows.
+
+    ``items`` are events and frames, or in the place of frames what ``finder`` found in them.
+    """
     columns = StripeColumns()
-    vertical = recipe.extract().orientation == "vertical"
 
     def of_camera() -> Iterator[Any]:
         for item in items:
-            if isinstance(item, TurntableAngle) or _is_frame(item, source.camera):
+            if isinstance(item, TurntableAngle) or _is_frame(item, finder.source.camera):
                 yield item
 
-    with_background = recipe.extract().background == "off-frame"
-    for lit in pair_frames(of_camera(), with_background=with_background, left_out=tally.left_out):
-        source.check(lit)
-        try:
-            found = chain.extract(lit.image, lit.lasers_on, lit.background)
-        except (InputError, CalibrationError) as error:
-            raise type(error)(
-                f"scan {source.scan}, frame {lit.frame}: {error}", hint=error.hint
-            ) from error
+    for lit in pair_frames(
+        of_camera(), with_background=finder.with_background, left_out=tally.left_out
+    ):
+        found = lit.image
+        if not isinstance(found, Found):
+            found = finder.find(lit.frame, found, lit.lasers_on, lit.background)
         tally.frames += 1
-        tally.empty += not any(len(points) for _, points in found)
-        tally.rows = len(found) * lit.image.shape[0 if vertical else 1]
-        tally.rows_with_stripe = sum(len(points) for _, points in found)
+        tally.rows = found.rows * len(found.stripes)
+        tally.rows_with_stripe = sum(len(points) for _, points in found.stripes)
+        tally.empty += not tally.rows_with_stripe
         advance(tally)
-        points, laser = _by_row(found)
+        points, laser = _by_row(found.stripes)
         yield from columns.add(
             points,
             frame=lit.frame,

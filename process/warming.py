@@ -20,8 +20,9 @@ from ..schemas.image_messages import ENCODINGS
 from ..schemas.recipe import Recipe
 from ..schemas.tables import STRIPES
 from .batches import columns_of, record_batches
+from .finding import FrameSource, StripeFinder
 from .stages import PointChain
-from .striping import FrameSource, Tally, stripe_parts
+from .striping import Tally, stripe_parts
 
 _DARK_DN, _STRIPE_DN, _WIDTH_PX = 12.0, 150.0, 1.5
 
@@ -49,9 +50,9 @@ def warm(
     """
     laser = calibration.lasers[0].laser if calibration is not None and calibration.lasers else 0
     frames = _frames(width_px, height_px, encoding, laser, recipe.extract().orientation == "vertical")
-    source = FrameSource("made up", "0", None)
     with contextlib.suppress(TurnscanError):
-        parts = stripe_parts(frames, recipe, calibration, source, Tally(), lambda _: None)
+        finder = StripeFinder(recipe, calibration, FrameSource("made up", "0"))
+        parts = stripe_parts(frames, finder, Tally(), lambda _: None)
         for batch in record_batches(STRIPES, parts):
             if calibration is not None:
                 PointChain(recipe, calibration).points(columns_of(batch))

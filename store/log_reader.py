@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
+from mcap.records import Channel, Schema
 from pydantic import ValidationError
 
 from ..schemas.calibration import Calibration, parse_calibration
@@ -15,7 +17,8 @@ from ..schemas.channels import topic_of
 from ..schemas.errors import DamageError
 from ..schemas.events import CalibrationSnapshot, Exposure, LogEvent, ScanStart
 from ..schemas.image_messages import RAW_IMAGE, ImageMessage, decode_image
-from .log_records import LogMessage, damaged
+from .log_ahead import Prepare
+from .log_records import LogMessage, TypedMessage, damaged
 from .log_walk import Growth, read_messages
 
 if TYPE_CHECKING:
@@ -34,6 +37,11 @@ class LogFrame:
     image: ImageMessage
     path: Path
 
+    @property
+    def encoded(self) -> bool:
+        """Whether :meth:`decode` has a JPEG, PNG, TIFF or BMP to decode."""
+        return self.image.schema != RAW_IMAGE
+
     def decode(self) -> npt.NDArray[Any]:
         """The pixels: (H, W) uint8 or uint16, or (H, W, 3) in BGR order; read-only where raw.
 
@@ -42,7 +50,7 @@ class LogFrame:
         import numpy as np
 
         message = self.image
-        if message.schema != RAW_IMAGE:
+        if self.encoded:
             return decode_image_file(message.data, where=f"{self.path}: frame {self.frame}")
         kind = np.dtype("<u2") if message.encoding == "mono16" else np.dtype("u1")
         width = message.width_px * (3 if message.encoding == "bgr8" else 1)
@@ -50,6 +58,19 @@ class LogFrame:
         if message.encoding == "bgr8":
             return rows.reshape(message.height_px, message.width_px, 3)
         return rows
+
+
+class Each(Protocol):
+    """What is made of a frame as soon as it is there."""
+
+    def __call__(self, item: LogFrame) -> Any:
+        """What comes in the frame's place; in any thread."""
+
+    def worth_a_thread(self) -> bool:
+        """Whether the threads that decompress should do it, or the caller's alone."""
+
+
+_GONE = memoryview(b"")
 
 
 def decode_image_file(data: Any, *, where: str) -> npt.NDArray[Any]:
@@ -80,10 +101,13 @@ class ScanLog:
         self.path = path
         self._growth = growth
 
-    def messages(self, *, ahead: bool = False) -> Iterator[tuple[str, str, LogMessage]]:
+    def messages(
+        self, *, ahead: int = 0, prepare: Prepare | None = None
+    ) -> Iterator[tuple[str, str, LogMessage]]:
         """(topic, schema name, message) of the whole log in time order.
 
-        ``ahead``: decompress in a second thread, for callers that have work of their own.
+        ``ahead``: decompress in so many threads beside the caller's; ``prepare`` as in
+        :class:`RecordWalk`.
 
         Raises
         ------
@@ -91,19 +115,55 @@ class ScanLog:
             Any byte of the file is not what was written, at the latest after the last message.
         """
         last = -1
-        for schema, channel, message in read_messages(self.path, growth=self._growth, ahead=ahead):
+        messages = read_messages(self.path, growth=self._growth, ahead=ahead, prepare=prepare)
+        for schema, channel, message in messages:
             if message.log_time < last:
                 raise damaged(self.path, 0, f"{channel.topic} steps back in time from {last}")
             last = message.log_time
             yield channel.topic, schema.name if schema else "", message
 
-    def items(self, *, ahead: bool = False) -> Iterator[LogEvent | LogFrame]:
-        """Every event and every frame of the log, typed, in time order; ``ahead`` as in messages."""
+    def items(self, *, ahead: int = 0, each: Each | None = None) -> Iterator[Any]:
+        """Every event (:class:`LogEvent`) and every frame (:class:`LogFrame`), typed, in time order.
+
+        ``ahead`` as in messages. With ``each`` what it makes of a frame comes in the frame's place:
+        made where the frame was decompressed if that is worth it, in several threads, in any order.
+        """
         exposures: dict[str, Exposure] = {}
-        for topic, schema, message in self.messages(ahead=ahead):
-            item = self.item(topic, schema, message, exposures)
+        prepare = None if each is None else partial(self._type_ahead, each)
+        for topic, schema, message in self.messages(ahead=ahead, prepare=prepare):
+            if isinstance(message, TypedMessage):
+                item = message.item
+                if isinstance(item, Exposure):
+                    exposures[item.camera] = item
+            else:
+                item = self.item(topic, schema, message, exposures)
+                if each is not None and isinstance(item, LogFrame):
+                    item = each(item)
             if item is not None:
                 yield item
+
+    def _type_ahead(self, each: Each, records: list[Any]) -> None:
+        """Put typed messages in the place of those that the records of one chunk alone explain."""
+        if not each.worth_a_thread():
+            return
+        channels: dict[int, tuple[str, str]] = {}
+        schemas: dict[int, str] = {}
+        exposures: dict[str, Exposure] = {}
+        for i, record in enumerate(records):
+            if isinstance(record, Schema):
+                schemas[record.id] = record.name
+            elif isinstance(record, Channel):
+                channels[record.id] = record.topic, schemas.get(record.schema_id, "")
+            elif isinstance(record, LogMessage) and record.channel_id in channels:
+                try:
+                    item = self.item(*channels[record.channel_id], record, exposures)
+                except DamageError:
+                    # Its exposure may stand in the chunk before; if not, it is told of in its turn.
+                    continue
+                if item is not None:
+                    head = (record.channel_id, record.sequence, record.log_time, record.publish_time)
+                    made = each(item) if isinstance(item, LogFrame) else item
+                    records[i] = TypedMessage(*head, _GONE, made)
 
     def item(
         self, topic: str, schema: str, message: LogMessage, exposures: dict[str, Exposure]

@@ -79,6 +79,13 @@ class LogMessage:
     data: memoryview
 
 
+@dataclass(frozen=True, slots=True)
+class TypedMessage(LogMessage):
+    """A message of which ``item`` was made already; its data was let go of."""
+
+    item: Any
+
+
 def damaged(path: Path, offset: int, what: str) -> DamageError:
     """The error for broken bytes of a log."""
     return DamageError(

@@ -11,7 +11,7 @@ import io
 import struct
 from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -26,6 +26,7 @@ from mcap.records import (
 
 from ..schemas.channels import PROFILE
 from ..schemas.errors import CutOffError, DamageError, StorageError
+from .log_ahead import ChunkJob, Prepare, in_order, waiting_chunks
 from .log_records import MAGIC, RECORD_HEAD, LogMessage, chunk_records, damaged, parse_record
 
 # Chunks are larger than this and so are read past the buffer, without a second copy.
@@ -67,14 +68,22 @@ class Growth(Protocol):
 
 class RecordWalk:
     """One pass over a file. Iterating yields (offset, record); ``library`` and ``profile`` are set
-    by the first record. With ``growth`` records are read as they are written; with ``ahead`` each chunk
-    is decompressed in a thread of its own while the records of the one before are used.
+    by the first record. With ``growth`` records are read as they are written; with ``ahead`` so many
+    threads beside the caller's decompress chunks (log_ahead.py) and ``prepare`` their records there.
     """
 
-    def __init__(self, path: Path, growth: Growth | None = None, *, ahead: bool = False) -> None:
+    def __init__(
+        self,
+        path: Path,
+        growth: Growth | None = None,
+        *,
+        ahead: int = 0,
+        prepare: Prepare | None = None,
+    ) -> None:
         self.path = path
         self._growth = growth
         self._ahead = ahead
+        self._prepare = prepare
         self._pool: ThreadPoolExecutor | None = None
         self.profile = ""
         self.library = ""
@@ -84,43 +93,15 @@ class RecordWalk:
             with self.path.open("rb", buffering=_BUFFER_BYTES) as file:
                 size = file.seek(0, io.SEEK_END)
                 file.seek(0)
-                yield from (
-                    self._in_order(self._walk(file, size)) if self._ahead else self._walk(file, size)
-                )
+                walk = self._walk(file, size)
+                yield from in_order(walk, waiting_chunks(self._ahead)) if self._ahead else walk
         except FileNotFoundError as error:
             raise StorageError(f"{self.path}: no such file") from error
         except OSError as error:
             raise StorageError(f"{self.path}: cannot be read ({error.strerror})") from error
         finally:
             if self._pool is not None:
-                self._pool.shutdown()
-
-    def _in_order(self, walk: Iterator[tuple[int, Any]]) -> Iterator[tuple[int, Any]]:
-        """The records of ``walk``, a chunk's in the place of its future: one chunk is always ahead."""
-        waiting: deque[tuple[int, Any]] = deque()
-
-        def until(left: int) -> Iterator[tuple[int, Any]]:
-            while len(waiting) > left:
-                offset, record = waiting.popleft()
-                if isinstance(record, Future):
-                    for inner in record.result():
-                        yield offset, inner
-                else:
-                    yield offset, record
-
-        while True:
-            try:
-                step = next(walk, None)
-            except (DamageError, OSError):
-                # What stands before the fault comes first, as it does without the thread.
-                yield from until(0)
-                raise
-            if step is None:
-                break
-            waiting.append(step)
-            if isinstance(step[1], Future):
-                yield from until(1)
-        yield from until(0)
+                self._pool.shutdown(cancel_futures=True)
 
     def _walk(self, file: Any, size: int) -> Iterator[tuple[int, Any]]:
         size = self._reach(len(MAGIC), size)
@@ -131,7 +112,8 @@ class RecordWalk:
         crc = isal_zlib.crc32(magic)
         offset = len(magic)
         strict = False
-        scratch, spare = [bytearray()], [bytearray()]
+        # With threads the next chunks are read while the bytes of those before are still in use.
+        scratch = deque([bytearray()] for _ in range(waiting_chunks(self._ahead) + 1))
         while True:
             size = self._reach(offset + 9, size)
             head = file.read(9)
@@ -142,7 +124,7 @@ class RecordWalk:
             if length > size - offset - 9:
                 what = f"a record of {length} bytes runs past the end"
                 raise _cut_off(file, self.path, offset, what)
-            body = _body(file, length, scratch) if opcode == Opcode.CHUNK else file.read(length)
+            body = _body(file, length, scratch[0]) if opcode == Opcode.CHUNK else file.read(length)
             if len(body) != length:
                 raise damaged(self.path, offset, "the file is shorter than it was")
             self._taken(head, body)
@@ -156,8 +138,7 @@ class RecordWalk:
             crc = isal_zlib.crc32(body, isal_zlib.crc32(head, crc))
             if opcode == Opcode.CHUNK:
                 yield from self._chunk(body, offset, strict=strict)
-                # With a thread the next chunk is read while this one's bytes are still in use.
-                scratch, spare = spare, scratch
+                scratch.rotate()
             elif opcode == Opcode.FOOTER:
                 raise damaged(self.path, offset, "the data section has no end record")
             else:
@@ -172,15 +153,16 @@ class RecordWalk:
             offset += 9 + length
 
     def _chunk(self, body: memoryview, offset: int, *, strict: bool) -> Iterator[tuple[int, Any]]:
-        """The records of a chunk; with a thread, one future of them."""
+        """The records of a chunk; with threads, one job that makes them."""
         if self._pool is not None:
-            yield offset, self._pool.submit(chunk_records, body, self.path, offset, strict=strict)
+            chunk = body, self.path, offset
+            yield offset, ChunkJob(self._pool, chunk, strict, self._prepare)
             return
         for record in chunk_records(body, self.path, offset, strict=strict):
             yield offset, record
         if self._ahead:
             # From the second chunk on: many scans are so small that they have no other.
-            self._pool = ThreadPoolExecutor(1, "decompress")
+            self._pool = ThreadPoolExecutor(self._ahead, "decompress")
 
     def _reach(self, wanted: int | None, size: int) -> int:
         """The file's size, after waiting for ``wanted`` bytes of a file that grows."""
@@ -244,11 +226,12 @@ def read_messages(
     topics: set[str] | None = None,
     growth: Growth | None = None,
     *,
-    ahead: bool = False,
+    ahead: int = 0,
+    prepare: Prepare | None = None,
 ) -> Iterator[tuple[Schema | None, Channel, LogMessage]]:
     """Messages of any MCAP file in file order, with their channel and schema.
 
-    ``growth`` and ``ahead`` as in :class:`RecordWalk`.
+    ``growth``, ``ahead`` and ``prepare`` as in :class:`RecordWalk`.
 
     Raises
     ------
@@ -258,7 +241,7 @@ def read_messages(
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     # The summary repeats schemas and channels; they are checked by the walk and change nothing.
-    for offset, record in RecordWalk(path, growth, ahead=ahead):
+    for offset, record in RecordWalk(path, growth, ahead=ahead, prepare=prepare):
         if isinstance(record, LogMessage):
             channel = channels.get(record.channel_id)
             if channel is None:
