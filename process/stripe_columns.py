@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from ..schemas.tables import STRIPES
 from .batches import BATCH_ROWS
-from .compiled import kernel
 from .extract import STRIPE_DTYPE
 
 Points = npt.NDArray[Any]
@@ -58,45 +57,21 @@ class StripeColumns:
         if not self._rows:
             return []
         counts, *shared = zip(*self._frames, strict=True)
-        lasers = [
-            np.full(n, laser, np.uint8) if isinstance(laser, int) else laser
-            for n, laser in zip(counts, self._lasers, strict=True)
-        ]
         of_frame = dict(zip(_OF_FRAME, shared, strict=True))
-        held = self._points[: self._rows]
+        lasers = self._lasers
+        if all(isinstance(laser, int) for laser in lasers):
+            of_frame["laser"] = tuple(lasers)
         made: Columns = {}
         for column in STRIPES.columns:
-            if column.name == "laser":
-                made["laser"] = np.concatenate(lasers, dtype=np.uint8, casting="same_kind")
-            elif column.name in of_frame:
+            if column.name in of_frame:
                 made[column.name] = np.repeat(np.array(of_frame[column.name], column.type), counts)
+            elif column.name == "laser":
+                each = [np.broadcast_to(a, n) for a, n in zip(lasers, counts, strict=True)]
+                made["laser"] = np.concatenate(each).astype(column.type)
             else:
-                made[column.name] = np.empty(len(held), column.type)
-        _split(held, *(made[name] for name in STRIPE_DTYPE.names or ()))
+                made[column.name] = np.empty(self._rows, column.type)
+                made[column.name][:] = self._points[column.name][: self._rows]
         self._rows = 0
         self._frames.clear()
         self._lasers.clear()
         return [made]
-
-
-@kernel
-def _split(
-    points: Points,
-    row: npt.NDArray[Any],
-    u_px: npt.NDArray[Any],
-    sigma_u_px: npt.NDArray[Any],
-    amplitude_dn: npt.NDArray[Any],
-    width_px: npt.NDArray[Any],
-    background_dn: npt.NDArray[Any],
-    flags: npt.NDArray[Any],
-) -> None:
-    """Points into columns."""
-    for i in range(len(points)):
-        point = points[i]
-        row[i] = point.row
-        u_px[i] = point.u_px
-        sigma_u_px[i] = point.sigma_u_px
-        amplitude_dn[i] = point.amplitude_dn
-        width_px[i] = point.width_px
-        background_dn[i] = point.background_dn
-        flags[i] = point.flags
