@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,26 @@ def extract_stripe(
     UsageError
         There is no such method, orientation or choice, or a number is out of its range.
     """
-    extractor = Extractor(
+    limits = base_dn, max_width_px, saturation_dn, from_px, to_px
+    if expected_px is None:
+        return _extractor(method, orientation, *limits, choice, pool_rows)(frame, background, noise)
+    extractor = _made(method, orientation, *limits, choice, pool_rows, expected_px)
+    return extractor(frame, background, noise)
+
+
+def _made(
+    method: str,
+    orientation: str,
+    base_dn: float,
+    max_width_px: float,
+    saturation_dn: float | None,
+    from_px: int,
+    to_px: int | None,
+    choice: str,
+    pool_rows: int,
+    expected_px: float | npt.NDArray[np.float64] | None = None,
+) -> Extractor:
+    return Extractor(
         method,
         orientation=orientation,
         base_dn=base_dn,
@@ -89,4 +109,7 @@ def extract_stripe(
         expected_px=expected_px,
         pool_rows=pool_rows,
     )
-    return extractor(frame, background, noise)
+
+
+#: An extractor holds nothing of a frame: whoever asks for the same again gets the same.
+_extractor = lru_cache(64)(_made)
