@@ -23,6 +23,8 @@ _QUANTILE, _QUANTILE_SIGMAS = 0.2, 0.8416
 #: Share of the weighted remainder that the fit itself takes away, times the width: see
 #: _variance_at_flanks.
 _TAKEN = 0.673
+#: Samples of a stripe of the widest window, three standard deviations to either side; and some.
+_MOST = 64
 
 
 @part
@@ -75,25 +77,32 @@ def _at_flanks(
     """Mean variance at the flanks of some rows; ``variance`` where only clipped rows could tell it."""
     rest = found[REST]
     total, n = 0.0, 0
+    shape = np.empty(_MOST, np.float64)
     for row in range(step // 2, len(rest), 2 * step):
         if state[row] == DONE and rest[row] < 2.0 * FREE * variance:
             model = (found[CENTRE, row], found[WIDTH, row], found[HEIGHT, row], found[BASE, row])
-            total += _variance_at_flanks(signal[row], model)
+            total += _variance_at_flanks(signal[row], model, shape)
             n += 1
     return total / n if n > 0 else variance
 
 
 @part
-def _variance_at_flanks(line: npt.NDArray[Any], model: tuple[float, float, float, float]) -> float:
-    """Variance of the samples, weighted as they move the centre, with its squared slope."""
+def _variance_at_flanks(
+    line: npt.NDArray[Any], model: tuple[float, float, float, float], shape: Floats
+) -> float:
+    """Variance of the samples, weighted as they move the centre, with its squared slope.
+
+    ``shape`` (at least as many as the samples) is memory for the Gaussian's.
+    """
     centre, width, height, base = model
     first = max(0, int(centre - 3.0 * width))
-    stop = min(len(line), int(centre + 3.0 * width) + 2)
+    stop = min(len(line), int(centre + 3.0 * width) + 2, first + _MOST)
     # The model is near, not exact: what height, centre and width still explain is taken away first.
     g0 = g2 = g4 = r0 = r1 = r2 = 0.0
     for j in range(first, stop):
         t = (j - centre) / width
         value = math.exp(-0.5 * t * t)
+        shape[j - first] = value
         rest = float(line[j]) - base - height * value
         g0 += value * value
         g2 += (t * value) ** 2
@@ -106,7 +115,7 @@ def _variance_at_flanks(line: npt.NDArray[Any], model: tuple[float, float, float
     total = 0.0
     for j in range(first, stop):
         t = (j - centre) / width
-        value = math.exp(-0.5 * t * t)
+        value = shape[j - first]
         rest = float(line[j]) - base - value * (height + taller + t * (moved + t * wider))
         total += (t * value * rest) ** 2
     # Of the weighted remainder this fit has taken a part.
