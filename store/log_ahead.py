@@ -20,7 +20,9 @@ Prepare = Callable[[list[Any]], None]
 Records = tuple[list[Any], DamageError | None]
 
 #: Chunks that wait for each thread: so that it has something to do while the caller is busy elsewhere.
+#: Of chunks so large that a few fill the memory, one.
 _WAITING: Final = 4
+_WAITING_BYTES: Final = 1 << 24
 
 
 class ChunkJob:
@@ -33,6 +35,7 @@ class ChunkJob:
         strict: bool,
         prepare: Prepare | None,
     ) -> None:
+        self.size = len(chunk[0])
         self._job = (*chunk, strict, prepare)
         self._future: Future[Records] = pool.submit(_all_records, *self._job)
         self._here: Records | None = None
@@ -76,6 +79,10 @@ def in_order(walk: Iterator[tuple[int, Any]], waiting_chunks: int) -> Iterator[t
         if fault is not None:
             raise fault
 
+    def too_many() -> bool:
+        sizes = [record.size for _, record in waiting if isinstance(record, ChunkJob)]
+        return len(sizes) > waiting_chunks or (len(sizes) > 1 and sum(sizes) > _WAITING_BYTES)
+
     while True:
         try:
             step = next(walk, None)
@@ -88,7 +95,7 @@ def in_order(walk: Iterator[tuple[int, Any]], waiting_chunks: int) -> Iterator[t
             break
         waiting.append(step)
         if isinstance(step[1], ChunkJob):
-            while sum(isinstance(record, ChunkJob) for _, record in waiting) > waiting_chunks:
+            while too_many():
                 yield from next_ones()
     while waiting:
         yield from next_ones()

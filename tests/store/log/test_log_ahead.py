@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 from logs import images, write_log
 
 from turnscan.schemas.errors import TurnscanError
+from turnscan.store import log_ahead
 from turnscan.store.log_reader import LogFrame, ScanLog
+from turnscan.store.log_walk import RecordWalk
 
 
 class Pixels:
@@ -76,6 +80,28 @@ def test_what_stands_before_a_fault_comes_first(tmp_path: Path) -> None:
         alone = told(broken, ahead=0)
         assert told(broken, ahead=2) == alone, at
         assert told(broken, ahead=1, each=Pixels(worth=True)) == alone, at
+
+
+def test_of_large_chunks_few_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_log(tmp_path / "a.mcap", images(60), chunk_bytes=5000)
+    alone = told(path, ahead=0)
+    begun = 0
+    submit = ThreadPoolExecutor.submit
+
+    def counted(pool: ThreadPoolExecutor, *job: Any) -> Any:
+        nonlocal begun
+        begun += 1
+        return submit(pool, *job)
+
+    monkeypatch.setattr(ThreadPoolExecutor, "submit", counted)
+    for limit, waiting in ((1, 2), (1 << 24, 5)):
+        monkeypatch.setattr(log_ahead, "_WAITING_BYTES", limit)
+        begun = 0
+        walk = iter(RecordWalk(path, ahead=1))
+        next(walk)
+        assert begun == waiting
+        assert len(list(walk)) > 60
+        assert told(path, ahead=1) == alone
 
 
 def test_no_thread_stays_behind(tmp_path: Path) -> None:
