@@ -93,7 +93,7 @@ class StripeFinder:
         """
         self._encoded = item.encoded
         ours = item.lasers_on and item.camera == self.source.camera
-        if self.with_background or not ours or not self.worth_a_thread():
+        if not ours or not self.worth_a_thread():
             return item
         found: Found | TurnscanError
         try:
@@ -107,7 +107,7 @@ class StripeFinder:
 
     def worth_a_thread(self) -> bool:
         """Whether a frame takes so long that threads gain more than they lose by passing Python on."""
-        return self._encoded or self._mean_s > _WORTH_S
+        return not self.with_background and (self._encoded or self._mean_s > _WORTH_S)
 
     def find(
         self,

@@ -95,8 +95,9 @@ def derive(
     """Derive what is missing of ``recipe`` on ``scans``; outcomes in the order of ``scans``.
 
     ``workers`` above 1 uses that many processes, a scan each. ``overlap`` lets threads decompress
-    ahead and write behind; by default where the workers leave cores to them. Neither changes a byte of
-    the result. A scan that fails gives an outcome with its error and stops none of the others.
+    ahead, extract what is slow and write behind; by default where the workers leave cores to them.
+    Neither changes a byte of the result. A scan that fails gives an outcome with its error and stops
+    none of the others.
     """
     if overlap is None:
         overlap = 2 * workers <= (os.cpu_count() or 1)
